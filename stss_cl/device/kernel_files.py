@@ -8,6 +8,7 @@ import hashlib
 import os
 import re
 import struct
+import time
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from functools import cache, partial
@@ -17,8 +18,18 @@ from typing import NamedTuple
 from stss_cl.device.caches import read, store
 from stss_ground.terminal import echo
 
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None
+
 SUMS = "stss.sha256"
 """Name of the list in the cache: the SHA-256 of each file that a process left which came to its end, its state then, and its name."""
+USERS = "stss.lock"
+"""Name of the file that every process which uses the cache holds a lock on until it ends, however it ends."""
+YOUNG = 300.0
+"""A file written to within so many seconds may not be complete, if another process uses the cache; linking takes a second, or a minute
+on a busy machine."""
 MOST_BYTES = 64 << 20
 BOOT = Path("/proc/sys/kernel/random/boot_id")
 """Another text after each start of the system."""
@@ -38,8 +49,10 @@ def mend(folder: Path) -> None:
 
     A file that is in the list must have its checksum. Another one, of a process that was killed, must be whole by what it says itself.
     What has been looked at since the system started, and has not been written to since, is not read again: a cache of hundreds of MiB
-    would take seconds. What this process builds comes into the list at its end.
+    would take seconds. What this process builds comes into the list at its end. What another process may be writing is left alone: PoCL
+    ends a process whose file goes while it links.
     """
+    used, now = _is_used(folder), time.time()
     listed, found = _read(folder), dict[str, Known]()
     boot = (read(BOOT, 64) or b"").decode()
     whole, damaged = 0, 0
@@ -53,7 +66,7 @@ def mend(folder: Path) -> None:
             found[name] = Known(known.digest, state)
         elif known is None and is_whole(Path(name).suffix, data):
             whole += 1
-        else:
+        elif not (used and _written(entry) > now - YOUNG):
             Path(entry.path).unlink(missing_ok=True)
             damaged += 1
     if damaged:
@@ -62,6 +75,34 @@ def mend(folder: Path) -> None:
     if listed != found:
         _write(folder, found)
     atexit.register(partial(_remember, folder, set(found), boot))
+
+
+def _is_used(folder: Path) -> bool:
+    """Whether another process uses the cache; from here on this one does, too. False where locks cannot be had."""
+    used = False
+    with suppress(OSError):
+        if fcntl is not None:
+            lock = _lock(folder)
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                used = True
+            fcntl.flock(lock, fcntl.LOCK_SH)
+    return used
+
+
+@cache
+def _lock(folder: Path) -> int:
+    """The file of the locks, open until the process ends."""
+    return os.open(folder / USERS, os.O_RDONLY | os.O_CREAT | os.O_CLOEXEC, 0o600)
+
+
+def _written(entry: os.DirEntry[str]) -> float:
+    """When a file was last written to, in seconds; 0 where it has gone."""
+    try:
+        return entry.stat(follow_symlinks=False).st_mtime
+    except OSError:
+        return 0.0
 
 
 def is_whole(suffix: str, data: bytes) -> bool:

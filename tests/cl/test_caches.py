@@ -107,6 +107,28 @@ def test_a_kernel_of_a_killed_process_is_whole_or_built_anew(processor, cache_ho
     assert [path.name for path in kernels(folder)] == ["whole.so"]
 
 
+def test_what_another_process_may_be_writing_is_left_alone(tmp_path):
+    """PoCL ends a process whose kernel goes while it links. What was left long ago is removed; so is all once nobody else is there."""
+    folder = tmp_path / "pocl"
+    for name in ("new.so", "old.so"):
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).write_bytes(b"")
+    os.utime(folder / "old.so", (0, 0))
+    code = f"from stss_cl.device.kernel_files import Path, mend; mend(Path({str(folder)!r})); print(1, flush=True); input()"
+    with subprocess.Popen(
+        [sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+    ) as other:
+        assert other.stdout.read(1) == b"1"
+        (folder / "new.so").write_bytes(b"")
+        (folder / "old.so").write_bytes(b"")
+        os.utime(folder / "old.so", (0, 0))
+        kernel_files.mend.__wrapped__(folder)
+        assert [path.name for path in kernels(folder)] == ["new.so"]
+        other.kill()
+    kernel_files.mend.__wrapped__(folder)
+    assert not kernels(folder)
+
+
 @pytest.mark.skipif(not kernel_files.BOOT.exists(), reason="Linux alone says when it was started")
 def test_what_nobody_wrote_to_since_it_was_looked_at_is_not_read_again(tmp_path, monkeypatch, capsys):
     """A file is read once after each start of the system, and whenever it was written to, whatever its times claim."""

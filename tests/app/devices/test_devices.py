@@ -224,6 +224,14 @@ def test_a_verdict_is_kept_until_told_otherwise():
     assert verdict("A: cpu", handle, trial=EVERY, command=NEVER) == on_all != find_verdict("A: cpu", handle)
 
 
+def test_again_forgets_what_later_trials_ended_with():
+    """``stss devices --again`` is what a refusal names; it tests with the first trial's weights alone."""
+    handle = fake("A", "cpu")
+    verdict("A: cpu", handle, trial=EVERY, command=answer({"why": "x", "gflops": 0}))
+    verdict("A: cpu", handle, again=True, command=answer(PASSED))
+    assert find_verdict("A: cpu", handle, trial=EVERY) is None
+
+
 def test_a_device_that_passed_with_more_layers_is_not_tested_with_fewer():
     handle = fake("A", "cpu")
     verdict("A: cpu", handle, trial="antialiased", command=answer({"why": "x", "gflops": 0}))
