@@ -191,7 +191,7 @@ def test_every_command_says_what_it_reads_and_writes():
     """By the kinds of its parameters; what is text names no file."""
     texts = {"device", "cluster", "spec", "shapes"}
     found = dict(commands())
-    assert len(found) == 16
+    assert len(found) == 17
     for names, command in found.items():
         assert isinstance(command, Subcommand), names
         for parameter in command.params:
