@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stss_ref.arrays import Array, ArrayError, Image, Mask, Plane, require
-from stss_ref.constants import Gather, HoleFill, HoleTest
+from stss_ref.constants import Gather, HoleFill, HoleLimits, HoleTest
 from stss_ref.detail import detail
 from stss_ref.holes import holes
 from stss_ref.motion_chain import chain_steps
@@ -82,17 +82,19 @@ def prepare(
     second: SecondColor = "newest",
     test: HoleTest = "footprint",
     hole_fill: HoleFill = "occlusion_warp",
+    limits: HoleLimits | None = None,
 ) -> NetworkInputs:
     """Make the network's inputs: warp the three colour frames to the current one. Other arguments and errors as in ``frame``.
 
     ``color`` is two pictures: the newest colour frame with its holes filled, and a second one. With ``second`` "newest" that is the same
     frame, its holes left as they are warped (spec 7); in an SF both are then the frame itself. With "detail" it is what all warped frames
-    show within the pixel (`detail`). ``test``: of static surfaces, see `holes`. ``hole_fill``: the stage that fills the holes.
+    show within the pixel (`detail`). ``test``: of static surfaces, and its ``limits``, see `holes`. ``hole_fill``: the stage that fills the
+    holes.
     """
     _check(inputs)
     motions = motion_by_step(inputs.motions, inputs.steps, gather)
 
-    pairs = [warp_one(inputs, i, motions.get(step), test) for i, step in enumerate(inputs.steps)]
+    pairs = [warp_one(inputs, i, motions.get(step), test, limits) for i, step in enumerate(inputs.steps)]
     warped, valids = [w for w, _ in pairs], [valid for _, valid in pairs]
     color = two_pictures(fill(inputs, warped[0], valids[0], motions.get(inputs.steps[0]), hole_fill), warped[0])
     if second == "detail":
@@ -113,7 +115,9 @@ def is_missing(steps: Sequence[int], i: int) -> bool:
     return i > 0 and steps[i] == steps[i - 1]
 
 
-def warp_one(inputs: FrameInputs, i: int, motion: Image | None, test: HoleTest) -> tuple[Image, Mask]:
+def warp_one(
+    inputs: FrameInputs, i: int, motion: Image | None, test: HoleTest, limits: HoleLimits | None = None
+) -> tuple[Image, Mask]:
     """Colour frame ``i`` warped to the current one, and where to trust it: nowhere if it is missing.
 
     Without motion the frame itself, trusted everywhere.
@@ -132,6 +136,7 @@ def warp_one(inputs: FrameInputs, i: int, motion: Image | None, test: HoleTest) 
         nov=inputs.nov,
         depth=inputs.gbuffer[..., 3],
         test=test,
+        limits=limits,
     )
     return warped, valid & (not is_missing(inputs.steps, i))
 
