@@ -104,8 +104,8 @@ def _not_in_holes(copy: Copy) -> None:
     """Samples count where the warped colour is to be trusted."""
     valids: dict[int, Any] = {}
 
-    def warped(right: Change, inputs: Any, i: int, motion: Any, test: Any) -> Any:
-        made = right(inputs, i, motion, test)
+    def warped(right: Change, inputs: Any, i: int, motion: Any, *test: Any) -> Any:
+        made = right(inputs, i, motion, *test)
         if not is_missing(inputs.steps, i):
             valids[id(motion)] = made[1]
         return made
