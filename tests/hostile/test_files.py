@@ -1,6 +1,5 @@
 """Files: nothing that is read is lost, nothing is half-written, one run at a time in a folder."""
 
-import contextlib
 import errno
 import os
 import resource
@@ -11,6 +10,7 @@ import subprocess
 import sys
 import tempfile
 import tracemalloc
+from functools import partial
 from pathlib import Path
 
 import click
@@ -28,7 +28,7 @@ from stss_ground.output.lock import LOCK, locked
 from stss_ground.output.write_whole import write_named, write_whole
 from tests.app.conftest import PLAIN
 from tests.app.conftest import files as contents
-from tests.hostile.cases import call, refused, unprivileged
+from tests.hostile.cases import call, refused, stss, unprivileged
 
 FRAMES = 4
 
@@ -344,24 +344,15 @@ def test_a_damaged_list_harms_nothing(finished, demo, tmp_path, line):
     assert secret.exists()
 
 
-@contextlib.contextmanager
-def limited(size):
-    """No file of this process may grow beyond ``size`` bytes, as on a full disk."""
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
-
-
 @pytest.mark.parametrize("suffix", ["exr", "png"])
 @pytest.mark.parametrize("size", [0, 1000])
 def test_a_file_that_does_not_fit_is_no_file(finished, demo, tmp_path, suffix, size):
-    """What the system does not take fails the run, and nothing is left that is not whole."""
-    out = tmp_path / "out"
-    with limited(size):
-        result = call("run", demo / "frames", "-o", out, *PLAIN, "--format", suffix)
+    """What the system does not take fails the run, and nothing is left that is not whole.
+
+    No file of the process may grow beyond ``size`` bytes, as on a full disk: one of its own, since others' threads may write, too.
+    """
+    out, limit = tmp_path / "out", partial(resource.setrlimit, resource.RLIMIT_FSIZE, (size, size))
+    result = stss("run", demo / "frames", "-o", out, *PLAIN, "--format", suffix, preexec_fn=limit)
     refused(result, "cannot be written")
     assert not [path for path in contents(out) if path.endswith((suffix, ".part"))]
 
