@@ -437,6 +437,12 @@ class TestReshade:
         inputs["stencil"][0, [9, 10]] = 1  # a surface takes from none of them
         assert self.filled(inputs)[10] == 1000
 
+    def test_a_background_counts_rows_as_columns(self):
+        none, is_source, hole = np.zeros((20, 1, 3)), np.zeros((20, 1), bool), (np.array([10]), np.array([0]))
+        is_source[[8, 14]] = True
+        _, total = like_sums(none, is_source, none[..., 0], none, none, *hole)
+        assert total == 1 / 16 + 1 / 625
+
     def test_without_samples_like_materials_around_count(self):
         """Pixel 10 leads nowhere. A base colour 1/8 off, or a normal 1/2 squared off, halve the fourth root of a weight."""
         inputs = reshade_inputs(warped=np.zeros((1, 20, 3)))
