@@ -33,6 +33,7 @@ SAME = {
     "depth: depth.dtype.type(1) -> depth.dtype.type(2)": "clipped it is 1, and scaled 0",
     "erm: strict=True -> strict=False": "both windows have 25 places",
     "frame: :3 -> :4": "a luma is of three channels",
+    "frame: 6:9 -> 6:10": "a G-buffer has nine channels",
     "frame: strict=True -> strict=False": "the lists have one length",
     "holes: apart < np.inf -> apart <= np.inf": "an infinite distance becomes an infinite one",
     "loss: max(masked.sum(), 1e-06) -> max(masked.sum(), 1.2499999999999999e-06)": "a mask is of 0 and 1",

@@ -17,6 +17,7 @@ from stss_ref.motion_chain import motion_chain
 from stss_ref.network import network
 from stss_ref.occlusion_warp import occlusion_warp
 from stss_ref.resample import upsample_centres
+from stss_ref.reshade import reshade
 from stss_ref.warp import warp
 from stss_ref.weights import Weights, zeros
 from stss_ref.weights import random as random_weights
@@ -108,8 +109,8 @@ def lively_scene(size, steps):
         motions=random.normal(0, 0.3, (5, *size, 2)),
         gbuffer=random.random((*size, 9)),
         nov=random.random(size),
-        stencils=np.where(random.random((4, *size)) < 0.25, random.integers(0, 2, (4, 1, 1)), 0.0),
-        normals=np.array((0, 0, 1.0)) + random.normal(0, 0.1, (4, *size, 3)),
+        stencils=np.where(random.random((4, *size)) < 0.15, random.integers(1, 3, (4, *size)), 0.0),
+        normals=np.array((0, 0, 1.0)) + random.normal(0, 0.4, (4, *size, 3)),
         positions=np.stack([12.0 * x, 12.0 * y, 0 * x], -1) + random.normal(0, 6, (4, *size, 3)),
     )
 
@@ -143,6 +144,20 @@ def test_each_frame_is_compared_with_its_own_planes(steps, test):
         np.testing.assert_array_equal(made.mask, valid)
         for entry, (color, trusted) in zip(made.history, shown[::-1], strict=True):
             np.testing.assert_array_equal(entry, np.concatenate([color, trusted[..., None]], -1))
+    if steps[0]:
+        filled = prepare(inputs, test=test, hole_fill="reshade").color[..., :3]
+        planes = (
+            inputs.stencils[1],
+            inputs.stencils[0],
+            inputs.normals[1],
+            inputs.normals[0],
+            inputs.positions[1],
+            inputs.positions[0],
+        )
+        motion, base_color = motion_chain(inputs.motions[: steps[0]]), inputs.gbuffer[..., 6:9]
+        want = reshade(inputs.colors[0], newest, motion, valid, *planes, base_color)
+        assert not np.array_equal(want, newest)
+        np.testing.assert_array_equal(filled, want)
     assert motion_by_step(inputs.motions, steps, "longest").keys() == {*steps} - {0}
 
 
