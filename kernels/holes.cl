@@ -58,7 +58,7 @@ INLINE float squared_offset(global const float *previous, const float3 position,
 }
 #endif
 
-// Takes float4, since Intel 2026.2 passes float3 wrongly to a function that is not inlined.
+// Takes float4, as every function that is not inlined: Intel 2026.2 hands over a float3 wrongly, both ways.
 static __attribute__((noinline)) bool is_turned(const float4 of, const float4 earlier, const float least_cosine)
 {
     const float3 normal = of.xyz, n = earlier.xyz;
