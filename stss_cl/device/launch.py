@@ -30,6 +30,9 @@ class Kernel:
         program: has it.
         name: of the kernel.
         arguments: those that are known by now.
+
+    Raises:
+        TypeError: the kernel has no such argument, or it is of another type; or its source is not understood.
     """
 
     def __init__(self, program: Program, name: str, arguments: Arguments | None = None):
@@ -38,7 +41,10 @@ class Kernel:
         self._places: dict[str, tuple[int, str]] = {}
         self._members: dict[str, tuple[int, str]] = {}
         self._structs: dict[int, tuple[str, dict[str, float]]] = {}
-        for place, (argument, kind) in enumerate(program.arguments(name)):
+        declared = program.arguments(name)
+        if len(declared) != self._kernel.num_args:
+            raise TypeError(f"kernel {name}: it takes {self._kernel.num_args} arguments, read {len(declared)} in its source")
+        for place, (argument, kind) in enumerate(declared):
             members = program.structs.get(kind)
             if members is None:
                 self._places[argument] = place, kind

@@ -18,6 +18,7 @@ from weakref import WeakKeyDictionary
 import pyopencl as cl
 from pyopencl.characterize import has_src_build_cache
 
+from stss_cl.device import signatures
 from stss_cl.device.caches import private, read, store
 from stss_cl.device.discovery import Device
 from stss_ground.errors import DeviceError
@@ -36,12 +37,6 @@ MAKERS_OPTIONS = {"intel": "-D static= -D inline="}
 """Options for a maker's GPUs. Where a function is static, Intel's compiler of 2022 unrolls no loop as it is told, and keeps arrays in
 memory."""
 
-ARGUMENTS = "-cl-kernel-arg-info"
-"""The option by which a program knows the names of its kernels' arguments."""
-
-Signatures = dict[str, list[tuple[str, str]]]
-"""Kernel -> name and type of each argument in order, as in the source without qualifiers: ``("color", "float*")``."""
-
 _building = Lock()
 """One thread builds at a time: two would undo each other's filters of warnings."""
 
@@ -54,15 +49,13 @@ class Program:
         structs: struct -> members with their types, in order, of those that have only numbers.
     """
 
-    def __init__(self, built: cl.Program, text: str, signatures: Signatures | None = None):
-        self.built, self.structs = built, _structs(text)
-        self._signatures: Signatures = {} if signatures is None else signatures
+    def __init__(self, built: cl.Program, text: str, options: str):
+        self.built, self.structs = built, signatures.structs(text)
+        self._text, self._defined = text, set(re.findall(r"-D (\w+)", options))
 
     def arguments(self, kernel: str) -> list[tuple[str, str]]:
         """Name and type of each argument of a kernel, in order."""
-        if kernel not in self._signatures:
-            self._signatures[kernel] = _signature(cl.Kernel(self.built, kernel))
-        return self._signatures[kernel]
+        return signatures.arguments(self._text, kernel, self._defined)
 
 
 _programs: WeakKeyDictionary[Device, dict[tuple[str, str], Program]] = WeakKeyDictionary()
@@ -82,7 +75,7 @@ def build(device: Device, file: str, options: Mapping[str, object] | None = None
         DeviceError: it does not build; the message has the source line that the compiler's log names, ``log`` has the whole log.
     """
     given = [f"-D {k}" if v is True else f"-D {k}={v}" for k, v in (options or {}).items() if v is not None and v is not False]
-    key = (file, " ".join(["-cl-std=CL1.2", ARGUMENTS, *given, MAKERS_OPTIONS.get(device.maker, ""), flags]).strip())
+    key = (file, " ".join(["-cl-std=CL1.2", *given, MAKERS_OPTIONS.get(device.maker, ""), flags]).strip())
     device.require_same_process()
     with _building:
         built = _programs.setdefault(device, {})
@@ -148,47 +141,20 @@ def _stored_or_built(device: Device, text: str, options: str) -> Program:
     """Build a program; on platforms without a cache, from the binary that an earlier process stored."""
     if has_src_build_cache(device.handle):
         with suppress(cl.Error):
-            return Program(cl.Program(device.context, text).build(options), text)
+            return Program(cl.Program(device.context, text).build(options), text, options)
         # Some versions of PoCL fail if another process makes the same cache folder at the same moment. By now it exists.
-        return Program(cl.Program(device.context, text).build(options), text)
+        return Program(cl.Program(device.context, text).build(options), text, options)
     what = json.dumps([device.name, device.driver, device.platform_version, options, text])
     path = private("binaries") / hashlib.sha256(what.encode()).hexdigest()
     stored = read(path, MOST_BINARY) or b""
-    content = stored[DIGEST:]
-    if (
-        content and hashlib.sha256(content).digest() == stored[:DIGEST]
-    ):  # a driver may end the process where its binary is damaged
-        signatures, _, binary = content.partition(b"\n")
+    binary = stored[DIGEST:]
+    if binary and hashlib.sha256(binary).digest() == stored[:DIGEST]:  # a driver may end the process where its binary is damaged
         with suppress(cl.Error):  # a driver may refuse its own binary; then the program is built anew
-            program = cl.Program(device.context, [device.handle], [binary]).build(options)
-            return Program(
-                program, text, {kernel: [tuple(each) for each in takes] for kernel, takes in json.loads(signatures).items()}
-            )
-    # Not from PyOpenCL's cache: it has binaries, too, and those may have forgotten the names of arguments.
-    never: Any = False
-    program = cl.Program(device.context, text).build(options, cache_dir=never)
+            return Program(cl.Program(device.context, [device.handle], [binary]).build(options), text, options)
+    program = cl.Program(device.context, text).build(options)
     binaries: Any = program.get_info(cl.program_info.BINARIES)
-    signatures = {kernel.function_name: _signature(kernel) for kernel in program.all_kernels()}
-    content = json.dumps(signatures).encode() + b"\n" + binaries[0]
-    store(path, hashlib.sha256(content).digest() + content)
-    return Program(program, text, signatures)
-
-
-def _signature(kernel: cl.Kernel) -> list[tuple[str, str]]:
-    asked = cl.kernel_arg_info.NAME, cl.kernel_arg_info.TYPE_NAME
-    known = [[str(kernel.get_arg_info(i, what)).strip("\0") for what in asked] for i in range(kernel.num_args)]
-    return [(name, kind) for name, kind in known]
-
-
-def _structs(text: str) -> dict[str, dict[str, str]]:
-    """The structs of a source whose members are all numbers of 32 bits."""
-    structs: dict[str, dict[str, str]] = {}
-    for body, name in re.findall(r"^typedef struct \{\n(.*?)^\} (\w+);", text, re.MULTILINE | re.DOTALL):
-        lines = re.sub(r"//.*", "", body).split(";")[:-1]
-        found = [re.fullmatch(r"\s*(u?int|float) ([\w,\s]+)", line) for line in lines]
-        if all(found):
-            structs[name] = {member: each[1] for each in found if each for member in re.split(r",\s*", each[2])}
-    return structs
+    store(path, hashlib.sha256(binaries[0]).digest() + binaries[0])
+    return Program(program, text, options)
 
 
 def _fault(log: str, text: str) -> str:

@@ -1,15 +1,16 @@
 """Kernels take their arguments by name: whatever order their source has, and with one line where a name or a type is wrong."""
 
 import re
-from weakref import WeakKeyDictionary
 
 import numpy as np
 import pyopencl as cl
 import pytest
 
-from stss_cl.device import program
+from stss_cl.device import program, signatures
+from stss_cl.device.discovery import open_device
 from stss_cl.device.launch import Kernel, Launch
 from stss_cl.image_space.prepare import Prepare
+from stss_cl.image_space.stages import hole_options
 from tests.cl.films import frame_inputs
 
 SCALE = """\
@@ -23,26 +24,38 @@ kernel void scale(ARGUMENTS)
     out[get_global_id(0)] = in[get_global_id(0)] * (get_global_id(0) >= scale.first ? scale.by : 1.0f) + (float)count;
 }
 """
+AMX = {"STRIDE": 1, "A": 24, "B": 0, "OUT": 24, "STORED": "BFLOAT16", "EMULATE": True, "RELU": True, "GATED": False}
 ORDERS = (
     "global const float *restrict in, global float *restrict out, const Scale scale, const ulong count",
     "const ulong count, const Scale scale, global float *restrict out, global const float *restrict in",
 )
 
 
-@pytest.fixture(params=ORDERS, ids=["one order", "another"])
-def scale(request, processor, tmp_path, monkeypatch):
-    """The program of a kernel with its arguments in one order or another."""
+@pytest.fixture
+def processor(processor):
+    """One that has no programs yet."""
+    return open_device(device_class="cpu")
+
+
+@pytest.fixture
+def kernels(tmp_path, monkeypatch):
+    """The folder of the kernels, empty."""
     monkeypatch.setattr(program, "KERNELS", tmp_path)
-    (tmp_path / "scale.cl").write_text(SCALE.replace("ARGUMENTS", request.param))
-    monkeypatch.setattr(program, "_programs", WeakKeyDictionary())
+    return tmp_path
+
+
+@pytest.fixture(params=ORDERS, ids=["one order", "another"])
+def scale(request, processor, kernels):
+    """The program of a kernel with its arguments in one order or another."""
+    (kernels / "scale.cl").write_text(SCALE.replace("ARGUMENTS", request.param))
     return program.build(processor, "scale.cl")
 
 
 @pytest.fixture
 def buffers(processor):
-    given = np.arange(4, dtype=np.float32)
+    values = np.arange(4, dtype=np.float32)
     flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
-    return {name: cl.Buffer(processor.context, flags, hostbuf=given) for name in ("in", "out")}
+    return {name: cl.Buffer(processor.context, flags, hostbuf=values) for name in ("in", "out")}
 
 
 def scaled(device, kernel, out):
@@ -88,19 +101,52 @@ def test_a_missing_argument_is_one_line(processor, scale, buffers, name):
             launch.load(processor.queue)
 
 
-def test_a_stored_binary_keeps_the_names(processor, buffers, tmp_path, monkeypatch):
-    """It need not know them itself."""
-    monkeypatch.setattr(program, "KERNELS", tmp_path)
-    monkeypatch.setattr(program, "has_src_build_cache", lambda handle: None)
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    (tmp_path / "scale.cl").write_text(SCALE.replace("ARGUMENTS", ORDERS[0]))
-    asked, ask = [], program._signature
-    monkeypatch.setattr(program, "_signature", lambda kernel: asked.append(kernel) or ask(kernel))
-    for _ in range(2):
-        monkeypatch.setattr(program, "_programs", WeakKeyDictionary())
-        kernel = Kernel(program.build(processor, "scale.cl"), "scale", {**buffers, "first": 0, "by": 2, "count": 0})
-        assert scaled(processor, kernel, buffers["out"]) == [0, 2, 4, 6]
-    assert len(asked) == 1
+@pytest.mark.parametrize("stored", [False, True], ids=["built", "from a binary"])
+def test_a_driver_need_not_know_the_names(processor, kernels, buffers, monkeypatch, stored):
+    """OpenCL lets a driver forget them where a program was built without an option, or from a binary."""
+
+    def unknown(kernel, place, what):
+        raise cl.RuntimeError("clGetKernelArgInfo failed: KERNEL_ARG_INFO_NOT_AVAILABLE")
+
+    monkeypatch.setattr(cl.Kernel, "get_arg_info", unknown)
+    if stored:
+        monkeypatch.setattr(program, "has_src_build_cache", lambda handle: None)
+        monkeypatch.setenv("XDG_CACHE_HOME", str(kernels / "cache"))
+    (kernels / "scale.cl").write_text(SCALE.replace("ARGUMENTS", ORDERS[0]))
+    for device in (processor, open_device(device_class="cpu")):
+        held = {name: cl.Buffer(device.context, cl.mem_flags.READ_WRITE, 16) for name in buffers}
+        cl.enqueue_copy(device.queue, held["in"], np.arange(4, dtype=np.float32))
+        kernel = Kernel(program.build(device, "scale.cl"), "scale", {**held, "first": 0, "by": 2, "count": 0})
+        assert scaled(device, kernel, held["out"]) == [0, 2, 4, 6]
+    assert len(list(kernels.glob("cache/stss/binaries/*"))) == stored
+
+
+@pytest.mark.parametrize(
+    ("file", "options"),
+    [
+        ("frame.cl", {"GATHER": "gather_longest", **hole_options("footprint")}),
+        ("frame.cl", {"GATHER": "gather_longest", **hole_options("footprint"), "DETAIL": True}),
+        ("conv_amx.cl", AMX),
+        ("conv_amx.cl", {**AMX, "IMAGE": True}),
+    ],
+    ids=lambda value: value if isinstance(value, str) else value.get("DETAIL", False) or value.get("IMAGE", False),
+)
+def test_names_are_those_of_the_compiler(processor, file, options):
+    """Of the files whose arguments stand in groups or depend on options; numbers and structs have the same type."""
+    built = program.build(processor, file, options, "-cl-kernel-arg-info -cl-opt-disable").built
+    for kernel in built.all_kernels():
+        asked = cl.kernel_arg_info.NAME, cl.kernel_arg_info.TYPE_NAME
+        compiled = [[kernel.get_arg_info(i, what).strip("\0") for what in asked] for i in range(kernel.num_args)]
+        read = signatures.arguments(program.source(file), kernel.function_name, options.keys())
+        assert [name for name, _ in read] == [name for name, _ in compiled]
+        for (_, kind), (_, type_name) in zip(read, compiled, strict=True):
+            assert kind == type_name if "*" not in kind else type_name.endswith("*")
+
+
+def test_a_declaration_that_is_not_understood_is_one_line(processor, kernels):
+    (kernels / "f.cl").write_text("#define TWO global float *a, global float *b\nkernel void f(TWO, const int c) {}\n")
+    with pytest.raises(TypeError, match="kernel f: it takes 3 arguments, read 2 in its source"):
+        Kernel(program.build(processor, "f.cl"), "f")
 
 
 def test_a_frames_kernels_may_take_their_arguments_in_any_order(gpu, unoptimised, tmp_path, monkeypatch):
@@ -118,8 +164,8 @@ def test_a_frames_kernels_may_take_their_arguments_in_any_order(gpu, unoptimised
     planes.write_text(turned)
     assert count == swapped == 1
     monkeypatch.setattr(program, "KERNELS", tmp_path)
-    monkeypatch.setattr(program, "_programs", WeakKeyDictionary())
-    np.testing.assert_array_equal(_prepared(gpu, size, inputs), first)
+    again = open_device(device_class="gpu")
+    np.testing.assert_array_equal(_prepared(again, size, inputs), first)
 
 
 def _prepared(device, size, inputs):
