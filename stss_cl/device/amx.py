@@ -35,6 +35,8 @@ def missing(device: Properties) -> str:
         return "no processor"
     if platform.machine() != "x86_64" or not cpu_flags() >= NEEDED:
         return "the processor has no matrix units for bfloat16 (AMX)"
+    if not device.is_pocl_processor:  # Intel's refuses the assembler, Oclgrind's ends the process
+        return "the runtime's compiler takes no assembler of matrix units (AMX); PoCL's does"
     return "" if permitted() else "the system refuses its matrix units (AMX)"
 
 

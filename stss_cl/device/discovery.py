@@ -124,8 +124,8 @@ class Properties:
         return self.kind == "CPU" and not self.name.startswith(("rusticl:", "Oclgrind:"))
 
     @property
-    def streams(self) -> bool:
-        """Whether it is a processor whose compiler is known to take ``__builtin_nontemporal_store``."""
+    def is_pocl_processor(self) -> bool:
+        """Whether its compiler is Clang for this very processor, which takes ``__builtin_nontemporal_store`` and assembler of vectors."""
         return self.is_cpu and self.name.startswith("Portable Computing Language:")
 
     @property

@@ -121,7 +121,7 @@ class Prepare:
             **gather,
             **options,
             **hole_options(self._test),
-            "STREAM": self.device.streams,
+            "STREAM": self.device.is_pocl_processor,
             "DETAIL": self._is_detailed,
             "RESHADE": self._reshades,
         }

@@ -12,6 +12,7 @@ from stss.frames.backends import open_backend
 from stss.frames.compute_options import ComputeOptions
 from stss_cl.device import amx
 from stss_cl.device.buffers import BFLOAT16, from_bfloat16, padded, read, to_bfloat16, write
+from stss_cl.device.discovery import Properties
 from stss_cl.network import layers
 from stss_cl.network.conv import conv
 from stss_cl.network.network import Network
@@ -122,15 +123,19 @@ def test_what_is_not_proved_is_not_used(processor, monkeypatch, fault):
     assert amx.are_used(processor)
 
 
-def test_what_is_missing_is_said(processor, gpu, monkeypatch):
+def test_what_is_missing_is_said(gpu, monkeypatch):
+    platform = SimpleNamespace(name="Portable Computing Language")
+    pocl = Properties(SimpleNamespace(platform=platform, name="cpu", type=cl.device_type.CPU))
     monkeypatch.setattr(amx.platform, "machine", lambda: "x86_64")
     assert amx.missing(gpu) == "no processor"
     both = "amx_bf16 amx_tile avx512_bf16 avx512vl"
     for flags, allowed, said in (("avx2 amx_tile", True, "no matrix units"), (both, False, "refuses"), (both, True, "")):
         monkeypatch.setattr(amx, "cpu_flags", lambda flags=flags: frozenset(flags.split()))
         monkeypatch.setattr(amx, "permitted", lambda allowed=allowed: allowed)
-        assert said in amx.missing(processor)
-        assert bool(amx.missing(processor)) == bool(said)
+        assert said in amx.missing(pocl)
+        assert bool(amx.missing(pocl)) == bool(said)
+    other = SimpleNamespace(platform=SimpleNamespace(name="Oclgrind"), name="Oclgrind Simulator", type=cl.device_type.CPU)
+    assert "compiler" in amx.missing(Properties(other))
 
 
 def test_that_it_is_emulated_is_said(processor, monkeypatch):
