@@ -75,8 +75,8 @@ def test_colour_at_odd_frames(write_frames):
             "warning",
             "half of the frames are G-buffer frames, of 4 samples for 64, 2 among them; say --rendered odd",
         ),
-        ((64, 64), "note", "all 4 frames; a half-rate run uses every second one"),
-        ((None, 4), "note", "all 4 frames; a half-rate run uses every second one"),
+        ((64, 64), "note", "in every frame; a half-rate run uses every second one"),
+        ((None, 4), "note", "in every frame; a half-rate run uses every second one"),
         ((64, 4, 4, 4), "warning", r"frames of different numbers of samples \(4, 64\), not every second one"),
     ],
 )
