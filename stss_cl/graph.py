@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """The network's graph, from the table of layers: what computes it, in order, whatever computes it.
 
-The host's plan, the network in PyTorch and the ONNX model follow from these nodes. `stss_ref` and the ports in C++ and WGSL are written
-out: they are read.
+The host's plan, the networks in PyTorch for training and for the benchmark, and the ONNX model follow from these nodes. `stss_ref` and
+the ports in C++ and WGSL are written out: they are read.
 """
 
 from __future__ import annotations
@@ -115,13 +115,22 @@ class Operations(Protocol[T]):
         ...
 
 
-def evaluate(do: Operations[T], color: T, gbuffer: T, mask: T, history: T, graph: Sequence[Node] = GRAPH) -> dict[str, T]:
+def evaluate(
+    do: Operations[T],
+    color: T,
+    gbuffer: T,
+    mask: T,
+    history: T,
+    graph: Sequence[Node] = GRAPH,
+    known: Mapping[str, T] | None = None,
+) -> dict[str, T]:
     """Compute the network up to the residual at the frame's size, ``outc``.
 
     Args:
         do: what computes.
         color, gbuffer, mask, history: as in `stss_ref.network.network`, padded to multiples of 8.
         graph: of `nodes`.
+        known: results, by name, that nodes read and ``graph`` does not compute.
 
     Returns:
         All results by name.
@@ -130,6 +139,7 @@ def evaluate(do: Operations[T], color: T, gbuffer: T, mask: T, history: T, graph
         "input": do.join([color, do.multiply(color, mask), gbuffer]),
         "gbuffer": do.reduce(gbuffer),
         "history": history,
+        **(known or {}),
     }
     m = do.reduce(mask)
     for node in graph:

@@ -56,6 +56,12 @@ def test_imports_go_one_way(package):
         assert allowed, f"{path} imports {module}"
 
 
+def test_training_has_the_networks_graph_and_no_kernels():
+    """Of the backend only what imports no OpenCL."""
+    modules = {module for _, module in imports_of("training") if module.split(".")[0] == "stss_cl"}
+    assert modules == {"stss_cl.graph", "stss_cl.liveness"}
+
+
 @pytest.mark.parametrize("package", FLOORS)
 def test_rooms_import_those_below(package):
     """Every room stands in the plan, and no import leads up or across; a package's ``__init__`` may import anything of its package."""

@@ -7,7 +7,6 @@ import argparse
 import statistics
 import sys
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 
 import torch
@@ -15,7 +14,6 @@ from torch import Tensor
 
 from training.command import command
 from training.data import KINDS, Batches, Kind, Shard, load_shards
-from training.network import Network
 from training.step import Aims, advance
 from training.train import Settings, infancy, rate_at, start
 from training.validate import Means, tensors, validate
@@ -24,10 +22,9 @@ ROWS = ("whole", "gbuffer", "history", "masking", "erm", "EF", "SF")
 """What is left out; the last two: trained without EFs, and without SFs."""
 
 
-def light(network: Network, x4: Tensor, gbuffer: Tensor, mask: Tensor) -> Tensor:
-    """`Network.reshade` without the attention: what it would gather from."""
-    f, m = (torch.nn.functional.interpolate(x, scale_factor=0.125, mode="bilinear") for x in (gbuffer, mask))
-    return network.latentEncoder(torch.cat([x4, f], 1)) * m
+def without_attention(light: Tensor, _material: Tensor, mask: Tensor) -> Tensor:
+    """`Network.attend` without the attention: what it would gather from."""
+    return light * mask
 
 
 def run(row: str, shards: list[Shard], settings: Settings, steps: int, most: int) -> Means:
@@ -35,7 +32,7 @@ def run(row: str, shards: list[Shard], settings: Settings, steps: int, most: int
     device, kinds = torch.device("cpu"), tuple[Kind, ...](kind for kind in KINDS if kind != row)
     state, keep = start(settings, device), float(row != "gbuffer")
     if row == "erm":
-        state.network.reshade = partial(light, state.network)
+        state.network.attend = without_attention
     drawn = Batches(shards, side=48, batch=6, seed=settings.seed, kinds=kinds, masking=row != "masking")
     for step, batch in drawn.between(0, steps):
         color, gbuffer, *others = tensors(batch, device)

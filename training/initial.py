@@ -8,7 +8,8 @@ import math
 import torch
 from torch import nn
 
-from training.network import Network
+from stss_ref.weights import LAYERS
+from training.network import HISTORY, Network
 
 OUTC = 0.05
 """Gain of the last layer at the start."""
@@ -46,7 +47,7 @@ def hold_gates(network: Network) -> None:
     While the history's features are still noise, the quickest way to a smaller loss is to shut the one gate that they all pass. A
     shut gate passes no gradient and never opens again. Three runs in a row lost the history that way.
     """
-    mask = network.lowlevelGated.conv_mask[0]
+    mask = network.get_submodule(f"{HISTORY}.conv_mask.0")
     with torch.no_grad():
         mask.weight.zero_()
         mask.bias.fill_(3.0)
@@ -59,13 +60,11 @@ def hold_history(network: Network) -> None:
     Weights that are trained this way give the same result with any history, and an implementation can tell from the zeros
     that it need not read the history.
     """
-    held = [network.convHis1, network.convHis2, network.convHis3, network.lowlevelGated.conv_feature]
     with torch.no_grad():
-        for module in held:
-            for convolution in module.modules():
-                if isinstance(convolution, nn.Conv2d):
-                    convolution.weight.zero_()
-                    convolution.weight.requires_grad_(False)
+        for layer in (layer for layer in LAYERS if layer.component == "history"):
+            weight = network.get_parameter(f"{layer.name}{'.conv_feature' if layer.gated else ''}.weight")
+            weight.zero_()
+            weight.requires_grad_(False)
 
 
 def forget_second_color(network: Network) -> None:

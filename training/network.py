@@ -3,20 +3,44 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import ClassVar, Literal, cast
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
+from stss_cl.graph import GRAPH, Node, divisor_of, evaluate, nodes
 from stss_cl.liveness import find_live
 from stss_ref.constants import HoleFill
-from stss_ref.weights import TENSORS, SecondColor, Weights, check
+from stss_ref.weights import LAYERS, TENSORS, Layer, SecondColor, Weights, check
 
 Without = Literal["", "history", "deep"]
 """What a network does not compute: nothing; the history, whose features are then the same everywhere (`hold_history`); or all that is
 below half size, which `training.prune` made worth nothing."""
+
+
+HISTORY = "lowlevelGated"
+"""The layer whose result is the history's feature."""
+
+FEATURES = {"reshaded": "reshaded", "feature": HISTORY, "up1": "up1.conv.double_conv.2", "up2": "up2.conv.double_conv.2"}
+"""Results that `Heads` read: by the names of heads, their names in the graph."""
+
+
+def _shallow() -> Iterator[Layer]:
+    """The layers from half size on, with what they read of it."""
+    for layer in LAYERS:
+        if layer.component == "backbone" and layer.divisor <= 2:
+            yield replace(layer, reads=tuple(name for name in layer.reads if divisor_of(name) <= 2))
+
+
+GRAPHS: Mapping[Without, Sequence[Node]] = {
+    "": GRAPH,
+    "history": tuple(nodes({layer.name: layer for layer in LAYERS if layer.component != "history"})),
+    "deep": tuple(nodes({layer.name: layer for layer in _shallow()})),
+}
+"""What is computed; without ``history``, its feature is known."""
 
 
 class Rectifier(nn.Module):
@@ -60,44 +84,6 @@ def _bias(convolution: nn.Conv2d) -> Tensor:
     return convolution.bias
 
 
-class Down(nn.Module):
-    """Half the size: three gated convolutions, the first with stride 2 and no ReLU."""
-
-    def __init__(self, inputs: int, outputs: int):
-        super().__init__()
-        self.downsample = Gated(inputs, inputs, 2)
-        self.conv1 = Gated(inputs, outputs)
-        self.conv2 = Gated(outputs, outputs)
-        self.rectifier = Rectifier()
-
-    def forward(self, x: Tensor) -> Tensor:
-        """(N, outputs, H / 2, W / 2)."""
-        return self.rectifier(self.conv2(self.rectifier(self.conv1(self.downsample(x)))))
-
-
-class DoubleConv(nn.Module):
-    """Two convolutions with ReLU; a separate module, so that its parameters get the specification's names."""
-
-    def __init__(self, inputs: int, middle: int, outputs: int):
-        super().__init__()
-        self.double_conv = chain(inputs, middle, outputs)
-
-
-class Up(nn.Module):
-    """Enlarge to twice the size with corners aligned, concatenate behind ``skip``, and apply two convolutions."""
-
-    def __init__(self, inputs: int, middle: int, outputs: int):
-        super().__init__()
-        self.conv = DoubleConv(inputs, middle, outputs)
-
-    def forward(self, skip: Tensor, x: Tensor | None) -> Tensor:
-        """(N, outputs, H, W) of ``skip`` (N, S, H, W) and ``x`` (N, C, H / 2, W / 2); without ``x`` its kernels are left out."""
-        if x is not None:
-            return self.conv.double_conv(torch.cat([skip, enlarged(x)], 1))
-        first = cast(nn.Conv2d, self.conv.double_conv[0])
-        return self.conv.double_conv[1:](nn.functional.conv2d(skip, first.weight[:, : skip.shape[1]], first.bias, padding=1))
-
-
 def enlarged(x: Tensor) -> Tensor:
     """Twice the size, bilinear with corners aligned, (N, C, 2H, 2W). In training by matrices: the gradient of PyTorch's own is slow."""
     if not x.requires_grad:
@@ -116,16 +102,8 @@ def _enlarging(length: int, like: Tensor) -> Tensor:
     return (rows.mul(256).round() / 256 if like.dtype == torch.bfloat16 else rows).to(like.dtype)
 
 
-def chain(*channels: int, stride: int = 1, last_relu: bool = True) -> nn.Sequential:
-    """Convolutions 3 x 3 from each number of channels to the next, a ReLU after each; the first has the ``stride``."""
-    layers: list[nn.Module] = []
-    for i, (inputs, outputs) in enumerate(pairwise(channels)):
-        layers += [nn.Conv2d(inputs, outputs, 3, stride if i == 0 else 1, 1), Rectifier()]
-    return nn.Sequential(*(layers if last_relu else layers[:-1]))
-
-
 class Network(nn.Module):
-    """STSSNet on batches. H and W are multiples of 8.
+    """STSSNet on batches. H and W are multiples of 8. Its layers, and what they read, are those of `stss_cl.graph`.
 
     Source: spec 7, 8; paper, Fig. 5.
 
@@ -138,15 +116,12 @@ class Network(nn.Module):
         super().__init__()
         self.without: Without = without
         self.second_color: SecondColor = second_color
-        self.conv1, self.conv2 = Gated(21, 24), Gated(24, 24)
-        self.down1, self.down2, self.down3 = Down(24, 24), Down(24, 32), Down(32, 32)
-        self.convHis1, self.convHis2 = chain(4, 24, 24, 24, stride=2), chain(24, 32, 32, 32, stride=2)
-        self.convHis3 = chain(32, 32, 32, 32, stride=2)
-        self.lowlevelGated = Gated(96, 32)
-        self.latentEncoder = chain(41, 64, 64, 64, last_relu=False)
-        self.KEncoder = chain(9, 32, 32, 32, last_relu=False)
-        self.up1, self.up2, self.up3 = Up(128, 64, 32), Up(56, 28, 24), Up(48, 24, 24)
-        self.outc = nn.Conv2d(24, 12, 1)
+        for layer in LAYERS:
+            sizes = layer.inputs, layer.outputs
+            made = (
+                Gated(*sizes, layer.stride) if layer.gated else nn.Conv2d(*sizes, layer.kernel, layer.stride, layer.kernel // 2)
+            )
+            _place(self, layer.name, made)
         self.rectifier = Rectifier()
 
     def forward(self, color: Tensor, gbuffer: Tensor, mask: Tensor, history: Tensor) -> Tensor:
@@ -164,35 +139,61 @@ class Network(nn.Module):
         """
         if color.shape[1] > 6:
             color = color[:, :6] if self.second_color == "newest" else torch.cat([color[:, :3], color[:, 6:]], 1)
-        x1 = self.rectifier(self.conv2(self.rectifier(self.conv1(torch.cat([color, color * mask, gbuffer], 1)))))
-        x2 = self.down1(x1)
-        features = {} if self.without == "deep" else self.look_deeper(x2, gbuffer, mask, history)
-        features["up2"] = self.up2(x2, features.get("up1"))
-        return nn.functional.pixel_shuffle(self.outc(self.up3(x1, features["up2"])), 2), features
+        known = {HISTORY: self.embedded(history)} if self.without == "history" else {}
+        results = evaluate(self, color, gbuffer, mask, history.flatten(0, 1), GRAPHS[self.without], known)
+        features = {feature: results[name] for feature, name in FEATURES.items() if name in results}
+        return nn.functional.pixel_shuffle(results[GRAPH[-1].name], 2), features
 
-    def look_deeper(self, x2: Tensor, gbuffer: Tensor, mask: Tensor, history: Tensor) -> dict[str, Tensor]:
-        """What comes of the features at half size (N, 24, H/2, W/2) below it."""
-        x3 = self.down2(x2)
-        reshaded, feature = self.reshade(self.down3(x3), gbuffer, mask), self.embed(history)
-        return {"reshaded": reshaded, "feature": feature, "up1": self.up1(x3, torch.cat([reshaded, feature], 1))}
+    def embedded(self, history: Tensor) -> Tensor:
+        """The feature of a history that is not read, (N, 32, H/8, W/8): the same everywhere."""
+        gated = cast(Gated, self.get_submodule(HISTORY))
+        bias, gate = _bias(gated.conv_feature), _bias(cast(nn.Conv2d, gated.conv_mask[0]))
+        n, _, _, height, width = history.shape
+        return (bias * gate.sigmoid()).view(1, -1, 1, 1).expand(n, -1, height // 8, width // 8)
 
-    def embed(self, history: Tensor) -> Tensor:
-        """The history's feature (N, 32, H/8, W/8)."""
-        if self.without == "history":
-            bias, gate = (
-                _bias(conv) for conv in (self.lowlevelGated.conv_feature, cast(nn.Conv2d, self.lowlevelGated.conv_mask[0]))
-            )
-            n, _, _, height, width = history.shape
-            return (bias * gate.sigmoid()).view(1, -1, 1, 1).expand(n, -1, height // 8, width // 8)
-        x = self.convHis3(self.convHis2(self.convHis1(history.flatten(0, 1))))
-        return self.lowlevelGated(x.reshape(len(history), 96, *x.shape[-2:]))
+    def convolve(self, x: Tensor, layer: Layer) -> Tensor:
+        """A layer with its gate and its ReLU; the kernels of inputs that are left out are left out, too."""
+        convolution = self.get_submodule(layer.name)
+        if isinstance(convolution, nn.Conv2d) and x.shape[1] < convolution.in_channels:
+            y = nn.functional.conv2d(x, convolution.weight[:, : x.shape[1]], convolution.bias, padding=layer.kernel // 2)
+        else:
+            y = convolution(x)
+        return self.rectifier(y) if layer.relu else y
 
-    def reshade(self, x4: Tensor, gbuffer: Tensor, mask: Tensor) -> Tensor:
+    def upsample(self, x: Tensor) -> Tensor:
+        """Twice the size, corners aligned."""
+        return enlarged(x)
+
+    def reduce(self, x: Tensor) -> Tensor:
+        """An eighth of the size."""
+        return nn.functional.interpolate(x, scale_factor=0.125, mode="bilinear", align_corners=False)
+
+    def attend(self, light: Tensor, material: Tensor, mask: Tensor) -> Tensor:
         """The ERM's result (N, 64, H/8, W/8) (spec 8)."""
-        f, m = (nn.functional.interpolate(x, scale_factor=0.125, mode="bilinear", align_corners=False) for x in (gbuffer, mask))
-        light = self.latentEncoder(torch.cat([x4, f], 1)) * m
-        material = nn.functional.normalize(self.KEncoder(f), eps=1e-12)
-        return _attend(material, material * m, light)
+        query = nn.functional.normalize(material, eps=1e-12)
+        return _attend(query, query * mask, light * mask)
+
+    def multiply(self, x: Tensor, y: Tensor) -> Tensor:
+        """The product."""
+        return x * y
+
+    def join(self, values: Sequence[Tensor]) -> Tensor:
+        """Concatenate along the channels."""
+        return torch.cat([*values], 1) if len(values) > 1 else values[0]
+
+    def join_images(self, x: Tensor) -> Tensor:
+        """(3 N, C, H, W) to (N, 3 C, H, W)."""
+        return x.unflatten(0, (-1, 3)).flatten(1, 2)
+
+
+def _place(network: nn.Module, name: str, layer: nn.Module) -> None:
+    """Make ``layer`` the submodule ``name`` of ``network``, so that its tensors have the specification's names."""
+    *above, last = name.split(".")
+    for part in above:
+        if not hasattr(network, part):
+            network.add_module(part, nn.Module())
+        network = network.get_submodule(part)
+    network.add_module(last, layer)
 
 
 def base(color: Tensor) -> Tensor:

@@ -34,10 +34,10 @@ def mean_below(weights: Weights, shards: list[Shard]) -> np.ndarray:
     """(32,) mean of what half size reads from below it, over the training split's SFs and EFs."""
     network, seen = Network(), list[torch.Tensor]()
     load_weights(network, weights)
-    network.up1.register_forward_hook(lambda _module, _inputs, output: seen.append(output.mean((0, 2, 3))))
     with torch.no_grad():
         for place in (p for kind in KINDS for p in spread(places(shards, "training", kind), FRAMES)):
-            network(*tensors(whole(place), torch.device("cpu"))[:4])
+            _, features = network.residual(*tensors(whole(place), torch.device("cpu"))[:4])
+            seen.append(features["up1"].mean((0, 2, 3)))
     return torch.stack(seen).mean(0).numpy()
 
 

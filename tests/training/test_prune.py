@@ -11,7 +11,7 @@ torch = pytest.importorskip("torch", reason="PyTorch is not installed: make test
 torch.set_num_threads(1)
 
 from tests.training.test_network import inputs, tensors  # noqa: E402
-from training.network import Network, load_weights  # noqa: E402
+from training.network import FEATURES, Network, load_weights  # noqa: E402
 from training.prune import main  # noqa: E402
 from training.prune import prune as prune_below  # noqa: E402
 from training.train import main as train  # noqa: E402
@@ -27,7 +27,8 @@ def test_the_mean_is_in_the_bias():
     mean = np.random.default_rng(1).random(32).astype(np.float32)
     weights, batch = random(0), tensors(inputs(0, 48, 40))
     whole, pruned = network_of(weights), network_of(prune_below(weights, mean))
-    whole.up1.register_forward_hook(lambda _m, _i, output: torch.from_numpy(mean)[:, None, None].expand_as(output))
+    last = whole.get_submodule(FEATURES["up1"])
+    last.register_forward_hook(lambda _m, _i, output: torch.from_numpy(mean)[:, None, None].expand_as(output))
     with torch.no_grad():
         want, got = whole(*batch), pruned(*batch)
     inner = (slice(None), slice(None), slice(16, -16), slice(16, -16))

@@ -29,7 +29,7 @@ from training.network import Gated, enlarged
 
 
 def _normed(*channels: int, stride: int = 1) -> nn.Sequential:
-    """As `training.network.chain`, each convolution followed by a batch's norm."""
+    """As `training.rivals.networks.chain`, each convolution followed by a batch's norm."""
     layers: list[nn.Module] = []
     for i, (inputs, outputs) in enumerate(pairwise(channels)):
         layers += [nn.Conv2d(inputs, outputs, 3, 1 if i else stride, 1), nn.BatchNorm2d(outputs), nn.ReLU()]

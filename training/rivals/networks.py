@@ -12,19 +12,57 @@ import importlib
 import sys
 from functools import cache
 from importlib import metadata, util
+from itertools import pairwise
 from types import ModuleType
+from typing import cast
 
 import torch
 from torch import Tensor, nn
 
 from stss_ground.errors import InputError
 from training.loss import led_along
-from training.network import Down, Gated, Up, base, chain
+from training.network import Gated, Rectifier, base, enlarged
 
 EARLIER = 4
 """Earlier frames that NSRR reads, besides the current one."""
 PLANES = 4 * (EARLIER + 1)
 """Channels of NSRR's pictures: colour and depth of each frame, the newest first; the motions to the earlier frames follow."""
+
+
+class Down(nn.Module):
+    """Half the size: three gated convolutions, the first with stride 2 and no ReLU."""
+
+    def __init__(self, inputs: int, outputs: int):
+        super().__init__()
+        self.downsample = Gated(inputs, inputs, 2)
+        self.conv1 = Gated(inputs, outputs)
+        self.conv2 = Gated(outputs, outputs)
+        self.rectifier = Rectifier()
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(N, outputs, H / 2, W / 2)."""
+        return self.rectifier(self.conv2(self.rectifier(self.conv1(self.downsample(x)))))
+
+
+class Up(nn.Module):
+    """Enlarge to twice the size with corners aligned, concatenate behind ``skip``, and apply two convolutions."""
+
+    def __init__(self, inputs: int, middle: int, outputs: int):
+        super().__init__()
+        self.conv = nn.Module()
+        self.conv.add_module("double_conv", chain(inputs, middle, outputs))
+
+    def forward(self, skip: Tensor, x: Tensor) -> Tensor:
+        """(N, outputs, H, W) of ``skip`` (N, S, H, W) and ``x`` (N, C, H / 2, W / 2)."""
+        return cast(nn.Sequential, self.conv.double_conv)(torch.cat([skip, enlarged(x)], 1))
+
+
+def chain(*channels: int, stride: int = 1, last_relu: bool = True) -> nn.Sequential:
+    """Convolutions 3 x 3 from each number of channels to the next, a ReLU after each; the first has the ``stride``."""
+    layers: list[nn.Module] = []
+    for i, (inputs, outputs) in enumerate(pairwise(channels)):
+        layers += [nn.Conv2d(inputs, outputs, 3, stride if i == 0 else 1, 1), Rectifier()]
+    return nn.Sequential(*(layers if last_relu else layers[:-1]))
 
 
 class ExtraNet(nn.Module):
