@@ -63,12 +63,15 @@ def show_progress(
             count, shown = count + done, text
             bar.update(task, advance=done, description=text)
 
-        if not console.is_terminal:
-            Thread(target=report, daemon=True).start()
+        lines = None if console.is_terminal else Thread(target=report, daemon=True)
+        if lines:
+            lines.start()
         try:
             yield advance
         finally:
             ended.set()
+            if lines:  # its last line is out before what is said next
+                lines.join()
 
 
 @contextmanager

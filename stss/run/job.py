@@ -118,6 +118,8 @@ def plan(sequence: Sequence, out: Path, options: RunOptions, *, accumulates: boo
     rendered = choose_rendered(sequence.numbers, sequence.rendered, options.rendered, options.cuts)
     numbers = _numbers(sequence, options.frames)
     require_near(sequence, sequence.numbers[0] if accumulates else numbers[0], numbers[-1])
+    if not options.keep_going:  # now, not after the hours that the frames before it take
+        sequence.require(numbers)
     return RunPlan(rendered, numbers, folder_of(out))
 
 

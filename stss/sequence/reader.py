@@ -274,12 +274,18 @@ class Sequence:
                     found[full] = source
         return found
 
-    def _frame(self, number: int) -> RawFrame:
-        if number not in self.frames:
+    def require(self, numbers: Iterable[int]) -> None:
+        """Raise InputError where one of these display frames has no file."""
+        lost = [n for n in numbers if n not in self.frames]
+        if lost:
+            others = f" and {len(lost) - 1} more" if len(lost) > 1 else ""
             raise InputError(
-                f"{self.path}: frame {number}: not there; STSS needs the G-buffer and motion of every display frame, "
+                f"{self.path}: frame {lost[0]}{others}: not there; STSS needs the G-buffer and motion of every display frame, "
                 "rendered or not"
             )
+
+    def _frame(self, number: int) -> RawFrame:
+        self.require([number])
         return self.frames[number]
 
     def _where(self, number: int) -> str:

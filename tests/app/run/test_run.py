@@ -19,6 +19,7 @@ from stss.run.pipeline import FRAMES_AHEAD, overlap
 from stss.sequence.profiles import load_profile
 from stss.sequence.reader import Sequence, open_sequence
 from stss.weights.file import BILINEAR, load
+from stss_ground.errors import InputError
 from stss_ref.arrays import ArrayError
 from tests.app.conftest import PLAIN
 from tests.hostile.cases import call, refused
@@ -123,6 +124,13 @@ def loads(monkeypatch):
 
 def written(out):
     return sorted(int(path.stem.split(".")[1]) for path in out.glob("frame.*"))
+
+
+def test_a_frame_that_is_not_there_is_said_before_any_is_computed(write_frames, tmp_path):
+    sequence = open_sequence(write_frames([0, 1, 2, 4, 6], size=(16, 24)), "stss")
+    with pytest.raises(InputError, match=r"frame 3 and 1 more: not there"):
+        run(sequence, tmp_path / "out", Noted(), "w", RunOptions())
+    assert not (tmp_path / "out").exists()
 
 
 def test_frames_are_on_disk_when_they_are_reported_by_the_callers_thread(sequence, tmp_path, loads):
