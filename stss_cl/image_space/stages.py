@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """The image-space stages one by one, on arrays in the form of the port protocol (spec 11).
 
-Every result equals the reference's in float32 bit for bit if the device rounds divisions and square roots correctly. Whole frames run
-the fused kernels of ``prepare`` instead.
+Every result equals the reference's in float32 bit for bit, but that subnormal numbers are 0, if the device rounds divisions and square
+roots correctly. Whole frames run the fused kernels of ``prepare`` instead.
 """
 
 from __future__ import annotations

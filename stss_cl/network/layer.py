@@ -17,11 +17,8 @@ from stss_cl.device.launch import Arguments, Kernel, Launch
 from stss_cl.device.program import build, marking
 from stss_cl.network.tiles import Maps, TileList, Tiling, whole
 
-FLUSH = "-cl-denorms-are-zero"
-"""The network's kernels take subnormal numbers for 0, so that their time does not depend on the data: processors of Intel take a hundred
-cycles for each operation that has one. PoCL sets its threads so for each launch."""
-FAST = f"-cl-mad-enable {FLUSH}"
-"""They may also contract ``a * b + c``; fma() itself is a slow call on PoCL 3.0."""
+FAST = "-cl-mad-enable"
+"""Kernels of the network may contract ``a * b + c``; fma() itself is a slow call on PoCL 3.0."""
 
 
 class KernelSource(NamedTuple):

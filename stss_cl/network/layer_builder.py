@@ -16,7 +16,7 @@ from stss_cl.device.grid import GROUP, list_size
 from stss_cl.device.launch import Arguments
 from stss_cl.device.parts import Parts
 from stss_cl.network.conv import Final, conv
-from stss_cl.network.layer import FAST, FLUSH, KernelSource, LayerLaunch, layer
+from stss_cl.network.layer import FAST, KernelSource, LayerLaunch, layer
 from stss_cl.network.pack_weights import pack
 from stss_cl.network.plan import Conv, Slot
 from stss_cl.network.tiles import Maps, Tiling
@@ -111,7 +111,7 @@ class LayerBuilder:
             out: the activations that it writes and marks; None: it writes the image.
         """
         # Interpolation is not contracted, so that it has the reference's bits.
-        flags = FAST if stage == "erm" else FLUSH
+        flags = FAST if stage == "erm" else ""
         workers = 1 if self._device.is_cpu else workers
         source = KernelSource(file, name, {**options, "WORKERS": workers, **amx.stored_as(self._device, self._dtype)}, flags)
         group = 1 if self._device.is_cpu else max(GROUP, workers)

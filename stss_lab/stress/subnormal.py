@@ -23,7 +23,7 @@ GROWTH = 2
 
 
 def subnormal(plan: StressPlan) -> StressTable:
-    """Processor time for dark inputs, over that for light ones; of the backend, which flushes in the network and nowhere else.
+    """Processor time for dark inputs, over that for light ones; of the backend, which flushes everywhere.
 
     bfloat16 is left out: it has no subnormal numbers, and is slow where it is emulated.
     """

@@ -11,13 +11,12 @@ from hypothesis import strategies as st
 from conformance.cases.planes import SEEDS, sizes
 from conformance.tolerance import ratio, sum_bound, worst
 from stss_cl.device.buffers import constant, padded, read, write
-from stss_cl.device.program import source
+from stss_cl.device.program import FLUSH, source
 from stss_cl.device.tuning import BUILT_IN, Winograd, built_in_rows, trial
 from stss_cl.liveness import drop_tiny, is_tiny
 from stss_cl.network import conv as conv_module
 from stss_cl.network import layers as layers_module
 from stss_cl.network.conv import conv
-from stss_cl.network.layer import FLUSH
 from stss_cl.network.layers import Layers
 from stss_cl.network.network import Network
 from stss_cl.network.pack_weights import EVERY_SECOND, POINTS, pack, winograd_matrix
