@@ -3,8 +3,8 @@
 //
 //  buffer           dir     shape             unit
 //  motion0..4       in      (H, W, 2)         px, newest first; as many as the largest step are read
-//  motion           in      (H, W, 2)         px, current -> the colour frame: what chain_steps gave; read if
-//                                             `is_warped`
+//  motions          in      (3, H, W, 2)      px, current -> the colour frames, newest first: what chain_steps gave,
+//                                             or where it did not run motion0; read if `is_warped`
 //  color            in      (H, W, 3)         of a colour frame
 //  gbuffer          in      (H, W, 9)         normal 3, depth, roughness, metallic, base colour 3
 //  nov              in      (H, W)
@@ -12,8 +12,8 @@
 //  normal           in      (H, W, 3)         likewise; from pixel to pixel normal_stride floats: 3, or 9 within a
 //                                             G-buffer
 //  position         in      (H, W, 3)         likewise, cm
-//  keys, first      in/out  (H, W)            the splat's, occlusion_warp.cl; only places that a hole looks up are
-//                                             wanted
+//  splat            in/out  (2, H, W)         keys and first of occlusion_warp.cl; only places that a hole looks up
+//                                             are wanted
 //  samples          in/out  (H, W, 4)         reshade.cl's: -D RESHADE
 //  history          in/out  (3, R+2, C+2, 4)  oldest, middle, newest; warped rgb >= 0, mask; an `image` of it
 //  x0               out     (R+2, C+2, 24)    the newest frame, its holes filled (>= 0), second colour, the six * mask,
@@ -21,8 +21,8 @@
 //  color3           out     (R, C, 4)         rgb of the same, 0
 //  mask             out     (H, W)            1 = newest frame to be trusted
 //  bad              out     (5)               set to 1 where an input is not finite, if `checks`
-//  dirty, *_changes in, out                   maps of the tiles to compute, and of those that then differ; null: all
-//                                             are computed, none marked
+//  dirty, changes   in, out                   maps of the tiles to compute, and of those that then differ, of x0 and
+//                                             the history; null: all are computed, none marked
 //
 // R, C = rows, columns = H, W rounded up to multiples of 8, filled by repeating the last row and column. Pixel (y, x)
 // of history and x0 is at (y + 1, x + 1); their border of zeros is never written.
@@ -52,8 +52,7 @@
 kernel void chain_steps(global const float2 *restrict motion0, global const float2 *restrict motion1,
                         global const float2 *restrict motion2, global const float2 *restrict motion3,
                         global const float2 *restrict motion4, const int newest, const int middle, const int oldest,
-                        global float2 *restrict to_newest, global float2 *restrict to_middle,
-                        global float2 *restrict to_oldest, const int height, const int width,
+                        global float2 *restrict motions, const int height, const int width,
                         global const uchar *restrict dirty)
 {
     const int left = get_global_id(0) * AT_ONCE, y = get_global_id(1);
@@ -62,7 +61,7 @@ kernel void chain_steps(global const float2 *restrict motion0, global const floa
     if (MARKS(dirty) && !any_dirty(dirty, left, y, (width + 7) / 8 * 8, AT_ONCE)) return;
     // clang-format off
     const Chain c = {{motion0, motion1, motion2, motion3, motion4}, newest, middle, oldest,
-                     to_newest, to_middle, to_oldest, height, width};
+                     motions, motions + height * width, motions + 2 * height * width, height, width};
     // clang-format on
 #if defined(EIGHT_PIXELS) && defined(LONGEST)
     if (left + 8 <= width) {
@@ -76,7 +75,7 @@ kernel void chain_steps(global const float2 *restrict motion0, global const floa
 // The pixels of a work-item.
 INLINE void prepare_pixels(const Frame f)
 {
-    const Strip s = f.strip;
+    const Task s = f.task;
     const int x = get_global_id(0) * AT_ONCE, y = get_global_id(1);
     if (x >= s.columns || y >= s.rows) return;
     if (f.marks && is_quiet(f, x, y, AT_ONCE)) return;
@@ -97,56 +96,57 @@ INLINE void prepare_pixels(const Frame f)
     for (int i = 0; i < AT_ONCE; ++i) prepare_pixel(f, x + i, y);
 }
 
-kernel void prepare_older(PLANES(ARGUMENT) WRITTEN(ARGUMENT) const Strip strip, const Task task)
+kernel void prepare_older(PLANES(ARGUMENT) WRITTEN(ARGUMENT) global uchar *restrict changes, const Task task)
 {
     const Frame f = {
-        .strip = strip, .task = task, .is_stored = true, .marks = MARKS(dirty), PLANES(VALUE) WRITTEN(VALUE)};
+        .task = task, .is_stored = true, .marks = MARKS(dirty), .changes = changes, PLANES(VALUE) WRITTEN(VALUE)};
     prepare_pixels(f);
 }
 
 // `stores`: the history's last image is written.
-kernel void prepare_newest(PLANES(ARGUMENT) OLDER(ARGUMENT) WRITTEN(ARGUMENT) NEWEST(ARGUMENT) const Strip strip,
+kernel void prepare_newest(PLANES(ARGUMENT) OLDER(ARGUMENT) WRITTEN(ARGUMENT) NEWEST(ARGUMENT)
+                               global uchar *restrict changes,
                            const Task task)
 {
-    const Frame f = {.strip = strip,
-                     .task = task,
+    const Frame f = {.task = task,
                      .is_newest = true,
                      .is_stored = task.stores,
                      .marks = MARKS(dirty),
+                     .changes = changes,
                      PLANES(VALUE) OLDER(VALUE) WRITTEN(VALUE) NEWEST(VALUE)};
     prepare_pixels(f);
 }
 
-kernel void splat_nearest(global const float2 *restrict motion, global const float *restrict gbuffer,
-                          volatile global uint *restrict keys, const int height, const int width)
+kernel void splat_nearest(global const float2 *restrict motions, global const float *restrict gbuffer,
+                          volatile global uint *restrict splat, const int height, const int width)
 {
     const int left = get_global_id(0) * AT_ONCE, y = get_global_id(1);
     if (left >= width || y >= height) return;
 #ifdef EIGHT_PIXELS
-    if (!is_wanted8(motion, keys, left, y, height, width)) return;
+    if (!is_wanted8(motions, splat, left, y, height, width)) return;
 #endif
     for (int x = left; x < least(left + AT_ONCE, width); ++x)
-        splat_depth(motion[y * width + x], x, y, depth_of(gbuffer, y * width + x), keys, height, width);
+        splat_depth(motions[y * width + x], x, y, depth_of(gbuffer, y * width + x), splat, height, width);
 }
 
-kernel void splat_first(global const float2 *restrict motion, global const float *restrict gbuffer,
-                        global const uint *restrict keys, volatile global uint *restrict first, const int height,
-                        const int width)
+kernel void splat_first(global const float2 *restrict motions, global const float *restrict gbuffer,
+                        global uint *restrict splat, const int height, const int width)
 {
     const int left = get_global_id(0) * AT_ONCE, y = get_global_id(1);
     if (left >= width || y >= height) return;
 #ifdef EIGHT_PIXELS
-    if (!is_wanted8(motion, keys, left, y, height, width)) return;
+    if (!is_wanted8(motions, splat, left, y, height, width)) return;
 #endif
     for (int x = left; x < least(left + AT_ONCE, width); ++x)
-        splat_index(motion[y * width + x], x, y, depth_of(gbuffer, y * width + x), keys, first, height, width);
+        splat_index(motions[y * width + x], x, y, depth_of(gbuffer, y * width + x), splat, splat + height * width,
+                    height, width);
 }
 
 // The samples of their own that the frame's holes have: -D RESHADE.
 kernel void find_samples(PLANES(ARGUMENT) global const uchar *restrict mask, global float4 *restrict samples,
-                         const Strip strip, const Task task)
+                         const Task task)
 {
-    const int left = get_global_id(0) * AT_ONCE, y = get_global_id(1), width = strip.width, height = strip.height;
+    const int left = get_global_id(0) * AT_ONCE, y = get_global_id(1), width = task.width, height = task.height;
     if (left >= width || y >= height) return;
 #ifdef EIGHT_PIXELS
     if (left + 8 <= width && all_valid8(mask + y * width + left)) return;
@@ -156,23 +156,22 @@ kernel void find_samples(PLANES(ARGUMENT) global const uchar *restrict mask, glo
                         position_previous, position, 0};
     // clang-format on
     for (int x = left; x < least(left + AT_ONCE, width); ++x)
-        if (!mask[y * width + x]) samples[y * width + x] = own_samples(s, color, motion[y * width + x], x, y);
+        if (!mask[y * width + x]) samples[y * width + x] = own_samples(s, color, motions[y * width + x], x, y);
 }
 
-kernel void fill_holes(PLANES(ARGUMENT) OLDER(ARGUMENT) NEWEST(ARGUMENT) global const float4 *restrict samples,
-                       const Strip strip, const Task task)
+kernel void fill_holes(PLANES(ARGUMENT) OLDER(ARGUMENT) NEWEST(ARGUMENT) global uchar *restrict changes,
+                       global const float4 *restrict samples, const Task task)
 {
     const int left = get_global_id(0) * AT_ONCE, y = get_global_id(1);
-    if (left >= strip.columns || y >= strip.rows) return;
+    if (left >= task.columns || y >= task.rows) return;
 #ifdef EIGHT_PIXELS
-    if (left + 8 <= strip.width && strip.top + y < strip.height &&
-        all_valid8(mask + (strip.top + y) * strip.width + left))
+    if (left + 8 <= task.width && task.top + y < task.height && all_valid8(mask + (task.top + y) * task.width + left))
         return;
 #endif
-    const Frame f = {.strip = strip,
-                     .task = task,
+    const Frame f = {.task = task,
                      .samples = samples,
-                     .marks = MARKS(input_changes),
+                     .marks = MARKS(changes),
+                     .changes = changes,
                      PLANES(VALUE) OLDER(VALUE) NEWEST(VALUE)};
     for (int x = left; x < left + AT_ONCE; ++x) fill_pixel(f, x, y);
 }

@@ -40,25 +40,27 @@ class Parts:
     """Buffers of these sizes, in bytes, at first of zeros.
 
     Attributes:
+        whole: the one buffer.
+        firsts: the byte of it at which each begins, and the end.
         buffers: in the order of the sizes.
     """
 
     def __init__(self, device: Device, sizes: Sequence[int]):
         align = max(int(device.handle.mem_base_addr_align) // 8, 16)
         self._device, self._sizes = device, tuple(sizes)
-        self._firsts = tuple(accumulate((ceil_div(size, align) * align for size in sizes), initial=0))
-        self._all = zeroed(device, max(self._firsts[-1], align))
-        self.buffers = tuple(self._all.get_sub_region(first, size) for first, size in self._places())
+        self.firsts = tuple(accumulate((ceil_div(size, align) * align for size in sizes), initial=0))
+        self.whole = zeroed(device, max(self.firsts[-1], align))
+        self.buffers = tuple(self.whole.get_sub_region(first, size) for first, size in self._places())
 
     def clear(self) -> None:
         """Enqueue setting all bytes to 0."""
-        cl.enqueue_fill_buffer(self._device.queue, self._all, np.zeros(1, np.uint32), 0, self._all.size)
+        cl.enqueue_fill_buffer(self._device.queue, self.whole, np.zeros(1, np.uint32), 0, self.whole.size)
 
     def read(self, queue: cl.CommandQueue | None = None) -> list[NDArray[np.uint8]]:
         """The bytes of each; one read, which waits for the ``queue``, or for the device's own."""
-        held: NDArray[Any] = np.empty(self._firsts[-1], np.uint8)
-        cl.enqueue_copy(self._device.queue if queue is None else queue, held, self._all)
+        held: NDArray[Any] = np.empty(self.firsts[-1], np.uint8)
+        cl.enqueue_copy(self._device.queue if queue is None else queue, held, self.whole)
         return [held[first : first + size] for first, size in self._places()]
 
     def _places(self) -> list[tuple[int, int]]:
-        return list(zip(self._firsts, self._sizes, strict=False))
+        return list(zip(self.firsts, self._sizes, strict=False))

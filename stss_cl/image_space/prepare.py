@@ -16,7 +16,7 @@ from stss_cl.device.buffers import Inputs, inputs_for
 from stss_cl.device.discovery import Device
 from stss_cl.device.grid import ceil_div, grid
 from stss_cl.device.launch import Arguments, Kernel, Launch
-from stss_cl.device.parts import Parts
+from stss_cl.device.parts import zeroed
 from stss_cl.device.program import Program, build, marking
 from stss_cl.image_space.frame_planes import MOST_STEPS, Source, Sources, check_steps, planes, upload
 from stss_cl.image_space.stages import hole_options, program
@@ -61,6 +61,8 @@ class Prepare:
     Attributes:
         inputs: the network's inputs on the device; every frame writes to the same buffers.
         mask: (H, W) uint8, 1 = not a hole of the newest colour frame.
+        splat: (2, H, W) uint32, see kernels/frame.cl; places that holes look up are wanted: ``prepare_newest`` makes them so, and
+            ``fill_holes`` unmakes them.
         dirty: a byte for each 4 x 4 pixels of ``inputs.input``: 0: the inputs there are those of the last frame, and no hole is filled.
     """
 
@@ -93,11 +95,9 @@ class Prepare:
         self.rows, self.columns = self.inputs.input.height, columns  # of a strip, where the frame goes in strips
         self.mask = self._filled(height * width)
         self.dirty = self._filled(self.rows // 4 * (columns // 4), 1)
-        self._chained = Parts(device, 3 * [height * width * 8])
+        self._motions = zeroed(device, 3 * height * width * 8)
         self._bad = self._filled(4 * len(FINITE))
-        # Places that holes look up are wanted: ``prepare_newest`` makes them so, and ``fill_holes`` unmakes them.
-        splats = 1 if self._reshades else height * width
-        self._keys, self._first = self._filled(splats * 4), self._filled(splats * 4)
+        self.splat = self._filled(8 * (1 if self._reshades else height * width))
         self._samples = self._filled((height * width if self._reshades else 1) * 16)
         self._launches = self._whole if self.inputs.changes is None else self._marking
         self._read: Sources | None = None
@@ -127,23 +127,20 @@ class Prepare:
         }
         frame = program(self.device, "frame.cl", frame_options)
         eighth = build(self.device, "downsample_8.cl", {"MASK": "uchar", **options})
-        dirty, input_changes, history_changes, eighth_changes = (self.dirty, *self._maps) if marks else 4 * (None,)
+        changes = inputs.changes if marks else None
+        dirty, maps, eighth_map = (None, None, None) if changes is None else (self.dirty, changes.whole, changes.buffers[2])
         size = {"height": height, "width": width}
-        strip = {**size, "rows": self.rows, "columns": self.columns}
         task = {
+            **size, "rows": self.rows, "columns": self.columns, "history_map": 0 if changes is None else changes.firsts[1],
             "is_missing": False, "checks": False, "stores": self._stores, "marks_wanted": False, "image": 2,
             "reads_middle": False, "reads_oldest": False,
         }  # fmt: skip
-        chained: Arguments = dict(zip(("to_newest", "to_middle", "to_oldest"), self._chained.buffers, strict=True))
-        older = {name: chained[name] for name in ("to_middle", "to_oldest") if self._is_detailed}
-        written = {"history": inputs.earlier.data, "history_changes": history_changes, "bad": self._bad, "dirty": dirty}
-        newest = {
-            "x0": inputs.input.data, "color3": inputs.base, "mask": self.mask, "keys": self._keys, "first": self._first,
-            "input_changes": input_changes,
-        }  # fmt: skip
+        written = {"history": inputs.earlier.data, "bad": self._bad, "dirty": dirty}
+        newest = {"x0": inputs.input.data, "color3": inputs.base, "mask": self.mask, "splat": self.splat}
+        marked = {"changes": maps}
         small = {
             "mask": self.mask, "eighth": inputs.eighth.data, "down": inputs.eighth.height, "across": inputs.eighth.width,
-            "columns": inputs.eighth.columns, "changes": eighth_changes, "dirty": dirty,
+            "columns": inputs.eighth.columns, "changes": eighth_map, "dirty": dirty,
         }  # fmt: skip
         across = 8 if self.device.is_cpu else 1
 
@@ -153,18 +150,17 @@ class Prepare:
 
         whole, part = (ceil_div(width, across), height), (ceil_div(self.columns, across), self.rows)
         if self._reshades:
-            search = (made("find_samples", *whole, {"mask": self.mask, "samples": self._samples, "top": 0}, strip, task),)
+            search = (made("find_samples", *whole, {"mask": self.mask, "samples": self._samples, "top": 0}, task),)
         else:
-            keys, first = {"keys": self._keys}, {"first": self._first}
-            search = made("splat_nearest", *whole, keys, size), made("splat_first", *whole, keys, first, size)
+            search = tuple(made(name, *whole, {"splat": self.splat}, size) for name in ("splat_nearest", "splat_first"))
         return _Launches(
-            chain=made("chain_steps", *whole, chained, {"dirty": dirty}, size),
+            chain=made("chain_steps", *whole, {"motions": self._motions, "dirty": dirty}, size),
             colors=(
-                made("prepare_newest", *part, written, newest, older, strip, task),
-                *(made("prepare_older", *part, written, strip, task, {"image": image}) for image in (1, 0) if self._stores),
+                made("prepare_newest", *part, written, newest, marked, task),
+                *(made("prepare_older", *part, written, marked, task, {"image": image}) for image in (1, 0) if self._stores),
             ),
             search=search,
-            fill=made("fill_holes", *part, newest, older, {"samples": self._samples}, strip, task),
+            fill=made("fill_holes", *part, newest, marked, {"samples": self._samples}, task),
             eighth=made("downsample_8", inputs.eighth.width, inputs.eighth.height, small, size, of=eighth),
         )
 
@@ -229,15 +225,15 @@ class Prepare:
             held = (*s.motions, *MOST_STEPS * s.motions[-1:])  # the last stands for those that no step needs
             launches.chain.set(**dict(zip(MOTIONS, held, strict=False)), **steps)
             launches.chain.enqueue(self.device.queue)
-        motions = self._chained.buffers if is_chain or not s.steps[0] else s.motions[:1]
+        motions = self._motions if is_chain or not s.steps[0] else s.motions[0]
         shown = {
             "gbuffer": s.gbuffer, "nov": s.nov, "stencil": s.stencils[0], "normal": s.normals[0], "position": s.positions[0],
-            "normal_stride": s.normal_stride,
+            "normal_stride": s.normal_stride, "motions": motions,
         }  # fmt: skip
         of_newest = (launches.fill, *(launches.search if self._reshades else ()))
         for launch, i in (*zip(launches.colors, range(3), strict=False), *((launch, 0) for launch in of_newest)):
             launch.set(
-                **shown, color=s.colors[i], motion=motions[i], is_warped=s.steps[i] > 0, stencil_previous=s.stencils[i + 1],
+                **shown, color=s.colors[i], is_warped=s.steps[i] > 0, stencil_previous=s.stencils[i + 1],
                 normal_previous=s.normals[i + 1], position_previous=s.positions[i + 1],
             )  # fmt: skip
         for launch, (newer, older) in zip(launches.colors[1:], pairwise(s.steps), strict=False):
@@ -252,7 +248,7 @@ class Prepare:
             self._warp(top, checks=checks, marks_wanted=not self._reshades)
         for launch in launches.search if s.steps[0] else ():
             if not self._reshades:
-                launch.set(motion=motions[0], gbuffer=s.gbuffer)
+                launch.set(motions=motions, gbuffer=s.gbuffer)
             launch.enqueue(self.device.queue)
         launches.eighth.set(gbuffer=s.gbuffer)
 
@@ -285,11 +281,6 @@ class Prepare:
         for launch in self._launches.colors:
             launch.set(top=top, checks=checks)
             launch.enqueue(self.device.queue)
-
-    @property
-    def _maps(self) -> tuple[cl.Buffer, ...]:
-        assert self.inputs.changes is not None
-        return self.inputs.changes.buffers
 
     def _filled(self, size: int, value: int = 0) -> cl.Buffer:
         buffer = cl.Buffer(self.device.context, cl.mem_flags.READ_WRITE, size)

@@ -214,7 +214,7 @@ def test_prepare_where_hardly_anything_is_a_hole(device, test, motion):
     preparation = Prepare(device, *size, second="detail", test=test)
     for _ in range(2):  # nothing that the first marked is left in the second
         assert_prepared(device, prepared(preparation, inputs), inputs, size, "detail", test)
-        assert not downloaded(device, preparation._keys, size, np.uint32).any()
+        assert not downloaded(device, preparation.splat, size, np.uint32).any()
     assert 0 < np.mean(downloaded(device, preparation.mask, size, np.uint8) == 0) < 0.2
 
 

@@ -160,7 +160,7 @@ def test_a_frames_kernels_may_take_their_arguments_in_any_order(gpu, unoptimised
     groups = "PLANES(ARGUMENT) OLDER(ARGUMENT) WRITTEN(ARGUMENT) NEWEST(ARGUMENT)"
     turned, count = re.subn(re.escape(groups), " ".join(groups.split()[::-1]), frame.read_text())
     frame.write_text(turned)
-    turned, swapped = re.subn("(DO.const float, color.) (DO.const float2, motion.)", r"\2 \1", planes.read_text())
+    turned, swapped = re.subn("(DO.const float, color.) (DO.const float2, motions.)", r"\2 \1", planes.read_text())
     planes.write_text(turned)
     assert count == swapped == 1
     monkeypatch.setattr(program, "KERNELS", tmp_path)
