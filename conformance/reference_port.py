@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The reference as a port, and what answers a job folder with any Python port (spec 11)."""
+"""The reference as a port, and the answer of any Python port to a job folder (spec 11)."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The network's graph, from the table of layers: what computes it, in order, whatever computes it.
+"""The network's graph, made from the table of layers: its operations in order, for every engine.
 
 The host's plan, the networks in PyTorch for training and for the benchmark, and the ONNX model follow from these nodes. `stss_ref` and
 the ports in C++ and WGSL are written out: they are read.

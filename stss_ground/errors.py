@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The user's mistakes: what the command line prints in one line, with status 2."""
+"""The user's mistakes, which the command line prints in one line, with status 2."""
 
 
 class UserError(Exception):

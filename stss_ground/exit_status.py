@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A command line from its words to its status: what the user did wrong is one line, what we did wrong a traceback."""
+"""Run a command line and return its status: a mistake of the user is one line, a mistake of ours a traceback."""
 
 from __future__ import annotations
 

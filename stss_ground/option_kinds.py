@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Kinds of option that need nothing of the project: the judge is installed without the rest.
 
-A kind that names files says what becomes of them, and so every command declares what it reads and what it writes. A `Subcommand`
-compares all of them before it begins.
+A kind for files says whether they are read or written, so every command declares both. A `Subcommand` compares all of them before it
+begins.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""How far a long command is: a bar on a terminal, a line a minute in a log file."""
+"""The progress of a long command: a bar on a terminal, a line a minute in a log file."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Subcommand `stss stress`; what it needs is imported only when it runs."""
+"""Subcommand `stss stress`; it imports its modules when it runs."""
 
 from __future__ import annotations
 

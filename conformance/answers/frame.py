@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Stage ``frame``: what comes before the network, whose decisions rounding may turn and whose second colour it moves."""
+"""Stage ``frame`` up to the network: rounding may turn its decisions, and moves its second colour."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Calls whose inputs share all but a little: what a port keeps by a part of its inputs, it takes for another call's.
+"""Calls whose inputs differ in little: a port that keeps results by a part of its inputs takes one call's for another's.
 
 Of one array one pixel differs, in the middle, so that first and last rows and borders are the same; or two pixels are exchanged, so that
 the sum is the same. Of an array of several frames, each frame's pixel differs in its turn. Of all arrays the upper half and the lower one
-are exchanged. Of the weights one number differs, or two are exchanged, or what the metadata say.
+are exchanged. Of the weights one number differs, or two are exchanged, or entries of the metadata.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Stage frame where every buffer of every frame decides about pixels of its own, for each choice of steps.
 
-Drawn cases may have buffers that are alike, or steps of which a mistake is right: then it depends on the seed whether it shows.
+Drawn cases may have buffers that are alike, or steps for which a mistake gives the right answer: then only some seeds show it.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Everything that a failure's message says beyond its numbers; the failure stays whole, whatever fails meanwhile."""
+"""The explanation of a failure, beyond its numbers; the failure stays whole, whatever fails meanwhile."""
 
 from __future__ import annotations
 

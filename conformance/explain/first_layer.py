@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Where inside a stage a wrong answer begins: the first of the port's layers that departs from the reference's."""
+"""The place inside a stage where a wrong answer begins: the first of the port's layers that departs from the reference's."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A wrong pixel of an image stage, taken apart: what the formula of docs/stages.md has there, as the reference computes it."""
+"""The terms of a wrong pixel of an image stage: the values in the formula of docs/stages.md, as the reference computes them."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What was found of a network's port: a table, JSON, JUnit XML, a page."""
+"""Report the findings about a network's port: a table, JSON, JUnit XML, a page."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Run an unknown program in a session of its own: its time and its output are limited, and what it started ends with it.
+"""Run an unknown program in a session of its own: its time and its output are limited, and its processes end with it.
 
-On Linux that is all that it started (`reaper`). Elsewhere it is its process group: a program that leaves it, as ``setsid`` does, runs on.
+On Linux these are all that it started (`reaper`). Elsewhere they are its process group, which ``setsid`` leaves.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A program that computes jobs (spec 11): it is started for each, or serves. What it must not do is looked at here."""
+"""A program that computes jobs (spec 11): it is started for each, or serves. Breaches of the protocol are found here."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""A program of its own, on Linux: starts another and adopts all that it leaves, so that nothing of it outlives it.
+"""A separate program, on Linux: it starts another and adopts the processes that it leaves, so that none of them outlives it.
 
 ``python reaper.py FD PROGRAM ARGUMENT ...`` writes ``status N`` (negative for a signal) or ``errno N`` to the file descriptor. It ends
-what it started on SIGTERM, and when the process that started it ends.
+them on SIGTERM, and when the process that started it ends.
 """
 
 import ctypes

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Cases with their right answers, for those who test without the judge: of every property that a stored answer can hold a port to."""
+"""Cases with their right answers, for tests without the judge: of every property that needs no more than a stored answer."""
 
 from __future__ import annotations
 

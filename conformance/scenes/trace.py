@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Rays into a scene at one moment: what they hit, and the light that comes back along them."""
+"""Rays into a scene at one moment: the surfaces that they hit, and the light that comes back along them."""
 
 from __future__ import annotations
 

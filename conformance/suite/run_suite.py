@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Runs the suite: pytest with one plugin, which brings the judge and takes down what happens."""
+"""Run the suite: pytest with one plugin, which brings the judge and records the results."""
 
 from __future__ import annotations
 

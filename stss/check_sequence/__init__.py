@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""``stss check``: what a sequence has, and what usually goes wrong with it."""
+"""``stss check``: the content of a sequence, and its usual mistakes."""

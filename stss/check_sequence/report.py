@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Check whether a sequence is what its profile says, before hours are spent on it."""
+"""Check a sequence against its profile, before hours are spent on it."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Subcommands about devices; what they need is imported only when they run."""
+"""Subcommands about devices; they import their modules when they run."""
 
 from __future__ import annotations
 

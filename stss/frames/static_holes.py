@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""How much of what stands still counts as a hole: a large share says that positions or motion are not what they should be."""
+"""The share of still pixels that count as holes: a large one says that positions or motion are wrong."""
 
 from __future__ import annotations
 

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""How good a picture is: ``stss compare``, and what ``methods`` takes of it."""
+"""The quality of a picture: ``stss compare``, and the parts of it that ``stss methods`` uses."""

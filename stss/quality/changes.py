@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""How frames change since the frame before, compared with how the truth does: flicker along the motion, and tPSNR. See docs/metrics.md."""
+"""Changes since the frame before, compared with those of the truth: flicker along the motion, and tPSNR. See docs/metrics.md."""
 
 from __future__ import annotations
 

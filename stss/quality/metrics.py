@@ -3,7 +3,7 @@
 
 Both are taken of 8-bit images. Luma is MATLAB's `rgb2ycbcr`: Y' of BT.601 in studio range, 16 to 235, not rounded.
 Differences are nevertheless measured against 255, so a PSNR over luma is 1.3 dB above one over full-range luma.
-`docs/metrics.md` has the definitions, and says where the authors' code computes something else than its names say.
+`docs/metrics.md` has the definitions, and the places where the authors' code departs from its names.
 """
 
 from __future__ import annotations

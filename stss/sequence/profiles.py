@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Profiles: what each renderer calls its buffers, and in which conventions it writes them.
+"""Profiles: the names that each renderer gives its buffers, and the conventions in which it writes them.
 
 A profile is a TOML file, the built-in ones too; docs/profiles.md explains every key. Nothing is guessed: a convention
 has no default here, so a file that leaves one out is refused.

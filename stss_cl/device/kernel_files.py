@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What PoCL keeps of compiled kernels, looked at before PoCL does: it ends the process where one of its files is damaged."""
+"""Check PoCL's cache of compiled kernels before PoCL reads it: PoCL ends the process where a file is damaged."""
 
 from __future__ import annotations
 

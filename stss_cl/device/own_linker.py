@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""A linker for what PoCL compiles: one relocatable object of x86-64 made into a shared object, where a machine has no linker of its own.
+"""A linker for PoCL's objects: it makes one relocatable object of x86-64 into a shared object, where a machine has no linker of its own.
 
 It is a program: ``python own_linker.py -o OUT ... IN.o ...``, as ``ld`` is called; all other options are ignored. PoCL's objects refer
-to nothing outside themselves, and only by the distance of two places, so what is left of a linker's work is to put the sections behind one
-another, fill in the distances, and list the functions' names. Everything else ends with status 1 and a line that says what it is.
+to nothing outside themselves, and only by the distance of two places. So three steps of a linker's work are left: put the sections behind
+one another, fill in the distances, and list the functions' names. Everything else ends with status 1 and a line that names it.
 
 Imports nothing but the standard library: it runs once for every kernel.
 

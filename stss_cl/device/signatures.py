@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What kernels take, read from their source.
+"""The arguments of kernels, read from their source.
 
 A driver has the names of arguments only if it was asked to keep them, and seldom those of a program that was built from a binary. So the
 source is the one place that says them. The text is not preprocessed: this reads the few forms in which our kernels declare arguments.

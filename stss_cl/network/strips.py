@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Frames larger than the memory: strips whose overlap covers what a pixel depends on, with the bits of the whole frame."""
+"""Frames larger than the memory: strips that overlap as far as a pixel depends on others, with the bits of the whole frame."""
 
 from __future__ import annotations
 

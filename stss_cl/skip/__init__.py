@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Skip what need not be computed: compare frames, keep the last frames' data."""
+"""Skip work whose result is known: compare frames, keep the last frames' data."""
 
 from stss_cl.options import SKIPS, Skip
 from stss_cl.report import Report

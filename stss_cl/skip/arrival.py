@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Look at a display frame that arrives: for values that are not finite, and for places that differ from the frame before it."""
+"""Check a display frame as it arrives: find values that are not finite, and places that differ from the frame before it."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Decide how much of a frame is computed: whether to look for changes, and what of the network to run.
+"""Decide how much of a frame is computed: whether to look for changes, and which part of the network to run.
 
 Plan, execute, learn: ``ChangeControl`` plans, ``stss_cl.skip.frame_cache`` executes the plan, ``learn`` takes the result.
 """

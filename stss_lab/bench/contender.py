@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What the benchmark times: contenders, and what they are made for.
+"""Contenders of the benchmark, and the workload that they are made for.
 
 A contender is made for one size and has three steps: ``prepare`` brings the inputs into its layout, ``run`` computes and is timed,
 ``image`` brings the result back. Calling a peer with arrays does all three.

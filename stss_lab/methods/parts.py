@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""`stss parts`: which of the paper's parts works in whose weights, by taking each away from weights that are trained."""
+"""`stss parts`: the worth of each of the paper's parts: trained weights without it."""
 
 from __future__ import annotations
 

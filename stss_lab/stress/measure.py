@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""`stss stress`: where digits are lost, stage by stage, and how fast. It measures and does not judge.
+"""`stss stress`: the digits that each stage loses, and how fast. It measures and does not judge.
 
 The truth is the reference in float64 on the same float32 inputs, so the rounding of the inputs does not count unless a table says so.
 An error is the largest difference over the largest number of the truth; a table's number is the worst of several seeds.
