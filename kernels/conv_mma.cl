@@ -70,11 +70,9 @@ static inline float opening(const float4 sum, const int k)
     return 1.0f / (1.0f + exp(-(k ? sum.z : sum.x)));
 }
 
-static inline void put(const uint after, global ushort *to, global uchar *changed)
+static inline void put(const uint after, global ushort *to, global uchar *changed, const bool compares)
 {
-#if MARK
-    if (*(global const uint *)to != after) *changed = 1;
-#endif
+    if (compares && *(global const uint *)to != after) *changed = 1;
     *(global uint *)to = after;
 }
 
@@ -157,7 +155,7 @@ kernel __attribute__((reqd_work_group_size(LANES, WAVES, 1))) void conv_mma(
 #ifdef RELU
                 value = fmax(value, 0.0f);
 #endif
-                put(as_uint(narrow(value)), to + place + HELD * n, mark);
+                put(as_uint(narrow(value)), to + place + HELD * n, mark, MARKS(changes));
             }
         }
     }

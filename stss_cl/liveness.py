@@ -45,6 +45,11 @@ class Live(NamedTuple):
     once: Collection[str]
     tensors: Tensors
 
+    @property
+    def reads_history(self) -> bool:
+        """Whether the image depends on the history: not if kernels on every way from it are exactly 0, such as those of its last layer."""
+        return any("history" in layer.reads for layer in self.layers.values())
+
 
 def find_live(weights: Tensors) -> Live:
     """Find the layers and units that must run for the image to be exact.
@@ -112,14 +117,9 @@ def _parts(layer: Layer) -> Iterator[tuple[str, int, int]]:
         first += times * (SOURCES[read] if source is None else source.outputs)
 
 
-def reads_history(weights: Tensors) -> bool:
-    """Whether the image depends on the history: not if kernels on every way from it are exactly 0, such as those of its last layer."""
-    return any("history" in layer.reads for layer in find_live(weights).layers.values())
-
-
-def colors_read(weights: Weights) -> int:
+def colors_read(weights: Weights, live: Live) -> int:
     """How many of the three colour frames, from the newest on, the image depends on."""
-    return 3 if weights.second_color == "detail" or reads_history(weights) else 1
+    return 3 if weights.second_color == "detail" or live.reads_history else 1
 
 
 def has_residual(weights: Tensors) -> bool:

@@ -56,10 +56,13 @@ class Program:
     def __init__(self, built: cl.Program, text: str, options: str):
         self.built, self.structs = built, signatures.structs(text)
         self._text, self._defined = text, set(re.findall(r"-D (\w+)", options))
+        self._arguments: dict[str, list[tuple[str, str]]] = {}
 
     def arguments(self, kernel: str) -> list[tuple[str, str]]:
         """Name and type of each argument of a kernel, in order."""
-        return signatures.arguments(self._text, kernel, self._defined)
+        if kernel not in self._arguments:  # read once: milliseconds, and a frame of another size has fifty kernels
+            self._arguments[kernel] = signatures.arguments(self._text, kernel, self._defined)
+        return self._arguments[kernel]
 
 
 _programs: WeakKeyDictionary[Device, dict[tuple[str, str], Program]] = WeakKeyDictionary()
@@ -89,8 +92,8 @@ def build(device: Device, file: str, options: Mapping[str, object] | None = None
 
 
 def marking(device: Device, marks: bool) -> Mapping[str, object]:
-    """The option that says whether a kernel marks what changes; on a CPU it is given a map, or none, instead (kernels/change_map.clh)."""
-    return {} if device.is_cpu else {"MARK": int(marks)}
+    """The option that says whether a kernel marks what changes; processors, also as GPUs, give it a map or none (change_map.clh)."""
+    return {} if device.kind == "CPU" else {"MARK": int(marks)}
 
 
 def built(device: Device) -> Mapping[tuple[str, str], Program]:

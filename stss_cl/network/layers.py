@@ -15,7 +15,7 @@ from stss_cl.device.grid import ceil8, ceil_div
 from stss_cl.device.launch import enqueue
 from stss_cl.device.parts import zeroed
 from stss_cl.device.tuning import tuning_for
-from stss_cl.liveness import Live, colors_read, drop_tiny, find_live, reads_history
+from stss_cl.liveness import Live, colors_read, drop_tiny, find_live
 from stss_cl.network.conv import Final
 from stss_cl.network.layer import LayerLaunch
 from stss_cl.network.layer_builder import LayerBuilder, dtype_of
@@ -85,14 +85,15 @@ class Layers:
         rows = rows_within(full, columns, dtype, limit, overlap)
         keep = keep and bytes_for(full, full, columns, dtype, keep=True) <= limit
         local = tuning_for(device).local is not None and not device.is_cpu
-        needed = Live(BY_NAME, (), weights) if every else find_live(weights)
+        live = find_live(weights)
+        needed = Live(BY_NAME, (), weights) if every else live
         planned = partial(plan, needed.layers, needed.once, keep=keep, fused=winograd or precision == "bfloat16", local=local)
         # The three images of the history in one launch, where that is known and their buffers have room.
         what = planned(together=local and not winograd and precision in ("float32", "half"))
         if bytes_for(rows, full, columns, dtype, keep=keep, what=what) > limit:
             what = planned(together=False)
         self.device, self.size, self.keep = device, (height, width), keep
-        self.reads_history, self.colors_read = every or reads_history(weights), colors_read(weights)
+        self.reads_history, self.colors_read = needed.reads_history, colors_read(weights, live)
         self.second_color: SecondColor = weights.second_color
         self.hole_test: HoleTest = weights.hole_test
         self.hole_fill: HoleFill = weights.hole_fill

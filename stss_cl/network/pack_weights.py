@@ -136,7 +136,8 @@ def winograd(kernels: NDArray[np.float32], side: int, block: int, stride: int = 
         ((side + 2)^2, OUT / block, IN, block), at stride 2 (25, ...): in the order in which the kernel reads.
     """
     g = winograd_matrix(side) if stride == 1 else EVERY_SECOND
-    transformed = np.einsum("ku,uvco,lv->klco", g, kernels.astype(np.float64), g, optimize=True)
+    rows = np.tensordot(g, kernels.astype(np.float64), (1, 0))
+    transformed = np.tensordot(g, rows, (1, 1)).swapaxes(0, 1)
     transformed[is_tiny(transformed)] = 0  # where taps cancel
     blocks = transformed.reshape(len(g) ** 2, kernels.shape[2], -1, block).swapaxes(1, 2)
     return np.ascontiguousarray(blocks, np.float32)

@@ -12,6 +12,7 @@ from stss_cl.device import matrix_units
 from stss_cl.device.buffers import constant, padded, read, write
 from stss_cl.device.discovery import open_device
 from stss_cl.device.tuning import Direct, Local, Winograd, built_in, trial
+from stss_cl.network import layer as layer_module
 from stss_cl.network.conv import conv
 from stss_cl.network.pack_weights import pack
 from stss_cl.network.tiles import TileList
@@ -149,9 +150,14 @@ ROWS = {
 
 
 @pytest.mark.parametrize(("name", "dtype"), [*((name, HALF) for name in ROWS), ("Winograd, vectors of 16", FLOAT)], ids=str)
-@pytest.mark.parametrize("layer", [LAYERS[0], LAYERS[6]], ids=str)
-def test_tiles_of_a_list(device, processor, layer, name, dtype):
-    """Only the listed tiles are written, whatever the number of work-groups; a pixel is marked if its bits now differ."""
+@pytest.mark.parametrize(("layer", "by_option"), [(LAYERS[0], False), (LAYERS[6], True)], ids=str)
+def test_tiles_of_a_list(device, processor, monkeypatch, layer, by_option, name, dtype):
+    """Only the listed tiles are written, whatever the number of work-groups; a pixel is marked if its bits now differ.
+
+    That it marks, a kernel is told by a map, or, as on GPUs, when it is built.
+    """
+    if by_option:
+        monkeypatch.setattr(layer_module, "marking", lambda _, marks: {"MARK": int(marks)})
     device = device if ROWS[name].get("local") else processor
     case = Case(device, layer, dtype)
     made = case.by(replace(built_in(device), **ROWS[name]))

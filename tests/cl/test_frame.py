@@ -12,7 +12,7 @@ from conformance.cases.planes import SEEDS, motions, sizes
 from conformance.tolerance import ratio
 from stss_cl import Frame
 from stss_cl.frame import FrameStages
-from stss_cl.liveness import colors_read
+from stss_cl.liveness import colors_read, find_live
 from stss_ref.arrays import ArrayError
 from stss_ref.frame import frame
 from stss_ref.weights import Weights, zeros
@@ -45,7 +45,7 @@ def test_the_frame_is_the_references(made, data, size, seed, steps):
     moving = np.stack(chain) if chain else np.zeros((0, *size, 2))
     inputs = frame_inputs(size, seed, steps, motions=moving, **uneven(size, seed))
     want, want_valid = frame(inputs, weights)
-    read = colors_read(weights)
+    read = colors_read(weights, find_live(weights))
     spoilt = {"colors": inputs.colors.copy()} | {n: getattr(inputs, n).copy() for n in ("stencils", "normals", "positions")}
     for name, array in spoilt.items():
         array[read + (name != "colors") :] = np.nan

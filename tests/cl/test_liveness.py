@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from stss_cl.liveness import colors_read, find_live, reads_history
+from stss_cl.liveness import colors_read, find_live
 from stss_ref.history import history_embedding
 from stss_ref.weights import BY_NAME, LAYERS, Weights, random
 
@@ -17,7 +17,7 @@ def test_weights_read_the_history_if_a_kernel_of_its_last_layer_is_not_zero(left
         made[f"lowlevelGated.{name}"] = np.zeros_like(made[f"lowlevelGated.{name}"])
     if left:
         made[f"lowlevelGated.{left}"][0, :, 1, 1] = 1e-2
-    assert reads_history(made) == bool(left)
+    assert find_live(made).reads_history == bool(left)
     rng = np.random.default_rng(0)
     first, second = (history_embedding(rng.random((3, 16, 16, 4), np.float32), made) for _ in range(2))
     assert np.array_equal(first, second) == (not left)
@@ -68,4 +68,4 @@ def test_groups_of_units_are_left_out():
 
 def test_how_many_colour_frames_the_image_depends_on():
     unread = random(2) | {name: tensor * 0 for name, tensor in random(2).items() if name.startswith("lowlevelGated")}
-    assert [colors_read(weights) for weights in (unread, Weights(unread, "detail"), random(2))] == [1, 3, 3]
+    assert [colors_read(weights, find_live(weights)) for weights in (unread, Weights(unread, "detail"), random(2))] == [1, 3, 3]

@@ -7,7 +7,7 @@ from conformance.answers.network import expect_with_weights
 from conformance.answers.port_arithmetic import Arithmetic
 from conformance.tolerance import ratio, sum_bound
 from stss.quality.metrics import C2, PEAK, WINDOW, luma, ssim_map
-from stss_cl.liveness import reads_history
+from stss_cl.liveness import find_live
 from stss_ref.loss import loss as reference_loss
 from stss_ref.weights import SECOND_COLORS, Weights, zeros
 from stss_ref.weights import random as random_weights
@@ -62,8 +62,8 @@ def test_a_network_without_history_is_one_whose_history_is_not_read():
     hold_gates(network)
     hold_history(network)
     weights = to_weights(network.state_dict())
-    assert not reads_history(weights)
-    assert reads_history(random_weights(4))
+    assert not find_live(weights).reads_history
+    assert find_live(random_weights(4)).reads_history
     load_weights(whole, weights)
     with torch.no_grad():
         got, want = (made(*tensors(arrays)).numpy() for made in (network, whole))

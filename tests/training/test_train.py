@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from stss.weights.file import load, save
-from stss_cl.liveness import reads_history
+from stss_cl.liveness import find_live
 from stss_ground.errors import InputError
 from stss_ref.schedule import FrameKind
 from stss_ref.weights import random
@@ -93,7 +93,7 @@ def test_options_reach_the_run(data, tmp_path):
         average([str(detailed), str(tmp_path / "back" / "weights.safetensors"), "-o", str(tmp_path / "mean.safetensors")])
     average([str(detailed), str(detailed), "-o", str(tmp_path / "mean.safetensors")])
     assert load(tmp_path / "mean.safetensors").weights.second_color == "detail"
-    assert [name for name, loaded in made.items() if not reads_history(loaded.weights)] == ["no history"]
+    assert [name for name, loaded in made.items() if not find_live(loaded.weights).reads_history] == ["no history"]
     sums = {name: loaded.label for name, loaded in made.items()}
     assert len(set(sums.values())) == len(sums)
 
