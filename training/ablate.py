@@ -12,6 +12,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from training.augment import AUGMENTS
 from training.command import command
 from training.data import KINDS, Batches, Kind, Shard, load_shards
 from training.step import Aims, advance
@@ -33,7 +34,7 @@ def run(row: str, shards: list[Shard], settings: Settings, steps: int, most: int
     state, keep = start(settings, device), float(row != "gbuffer")
     if row == "erm":
         state.network.attend = without_attention
-    drawn = Batches(shards, side=48, batch=6, seed=settings.seed, kinds=kinds, masking=row != "masking")
+    drawn = Batches(shards, side=48, batch=6, seed=settings.seed, kinds=kinds, masking=row != "masking", how=settings.augment)
     for step, batch in drawn.between(0, steps):
         color, gbuffer, *others = tensors(batch, device)
         aims = Aims(young=infancy(step, steps))
@@ -49,15 +50,19 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--rows", nargs="+", choices=ROWS, default=ROWS, help="what is left out")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
     parser.add_argument("--steps", type=int, default=1200)
+    parser.add_argument("--augment", choices=AUGMENTS, default="all", help="what of a crop is changed; none: for one scene")
     parser.add_argument("--most", type=int, default=24, help="validation frames of each kind")
     chosen = parser.parse_args(arguments)
     shards = load_shards(chosen.data)
+    torch.set_flush_denormal(True)  # see training.train
     for row in chosen.rows:
-        made = (Settings(48, 6, 0.01, 100, seed, False, history=row != "history") for seed in chosen.seeds)
+        made = (
+            Settings(48, 6, 0.01, 100, seed, False, history=row != "history", augment=chosen.augment) for seed in chosen.seeds
+        )
         found = [run(row, shards, settings, chosen.steps, chosen.most) for settings in made]
-        for kind in (kind for kind in KINDS if kind != row):
-            values = [means[kind] for means in found]
-            sys.stdout.write(f"without {row}, {kind}: {statistics.mean(values):.2f} ({max(values) - min(values):.2f})\n")
+        for name in (name for name in (*KINDS, "EF holes") if name.split()[0] != row):
+            values = [means[name] for means in found]
+            sys.stdout.write(f"without {row}, {name}: {statistics.mean(values):.2f} ({max(values) - min(values):.2f})\n")
         sys.stdout.flush()
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,9 @@ from stss_ref.detail import LUMA
 from stss_ref.rrm import draw_rectangle, rrm
 
 Random = np.random.Generator
+Augment = Literal["all", "upright", "none"]
+AUGMENTS: tuple[Augment, ...] = get_args(Augment)
+"""What is changed besides the crop: all that is told above; all but what no renderer's frames show; nothing."""
 NORMAL = slice(3, 6)
 Y_UP = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]], np.float32)
 """Turns vectors of a world with z up into one with y up."""
@@ -65,21 +68,26 @@ def augment(
     truth: Array,
     random: Random,
     *,
-    upright: bool = False,
+    how: Augment = "all",
     colors: Sequence[slice] = COLORS,
     motions: Sequence[slice] = (MOTION,),
 ) -> tuple[Array, Array]:
     """Turn and mirror crops, and change their exposure and colours, all alike; returns new float32 arrays.
 
     ``upright`` leaves out what no renderer's frames show: a camera on its side or its head, and colours that changed places. They are
-    means against too few films; with enough of them, they cost what the network could learn in their place.
+    means against too few films; with enough of them, they cost what the network could learn in their place. ``none`` is for weights of
+    one scene, which may learn its light by its normals.
 
     Args:
         inputs: (N, H, W, 35) or more channels.
         truth: (N, 2H, 2W, 3).
         random: where chance comes from.
+        how: what is changed.
         colors, motions: the channels of colours and of motions.
     """
+    if how == "none":
+        return inputs.astype(np.float32), truth.astype(np.float32)
+    upright = how == "upright"
     quarters, mirrored = 0 if upright else int(random.integers(4)), bool(random.random() < 0.5)
     inputs, truth = np.rot90(inputs, quarters, (1, 2)).copy(), np.rot90(truth, quarters, (1, 2)).copy()
     for _ in range(quarters):

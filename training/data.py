@@ -16,7 +16,7 @@ import numpy as np
 from stss_ground.errors import InputError
 from stss_ref.arrays import Array
 from stss_ref.constants import HOLE_FILLS, HoleFill
-from training.augment import MASK, MOTION, Batch, augment, collate, crop, mask_at_random
+from training.augment import MASK, MOTION, Augment, Batch, augment, collate, crop, mask_at_random
 from training.samples import NOWHERE
 
 Kind = Literal["SF", "EF"]
@@ -103,7 +103,7 @@ class Batches:
 
     A batch depends only on the seed and its number, so a resumed run sees the same batches.
 
-    ``kinds``: both in equal shares, or one alone; ``masking=False``: without Random Reshading Masking. ``upright``: see
+    ``kinds``: both in equal shares, or one alone; ``masking=False``: without Random Reshading Masking. ``how``: see
     `training.augment.augment`.
     """
 
@@ -116,9 +116,9 @@ class Batches:
         seed: int,
         kinds: Sequence[Kind] = KINDS,
         masking: bool = True,
-        upright: bool = False,
+        how: Augment = "all",
     ):
-        self._masking, self.augment = masking, partial(augment, upright=upright)
+        self._masking, self.augment = masking, partial(augment, how=how)
         both = pairs(shards, "training")
         self._sets = sets(both if len(kinds) > 1 else [(place,) for place in places(shards, "training", kinds[0])])
         self._together = len(kinds)

@@ -23,6 +23,7 @@ from stss_ground.output.places import require_places
 from stss_ref.constants import HoleFill
 from stss_ref.weights import SECOND_COLORS, SecondColor
 from training import checkpoint
+from training.augment import AUGMENTS, Augment
 from training.checkpoint import State
 from training.command import command
 from training.data import Batches, Shard, load_shards
@@ -43,7 +44,7 @@ class Settings:
     ``structure``, ``structure_ef``: the perceptual distance is so many times 1 - SSIM, in SFs and in EFs.
     ``extrapolated``: the share of EFs in the squared error.
     ``masking``: Random Reshading Masking. ``holes``: how often errors in reshading regions count in the squared error.
-    ``upright``: see `training.augment.augment`.
+    ``augment``: see `training.augment.augment`.
     ``compiled``: whether a step is compiled, which changes its rounding.
     ``second_color``, ``hole_fill``: see `stss_ref.frame.prepare`; the samples have the latter.
     ``steady``: see `training.step.Aims`.
@@ -63,7 +64,7 @@ class Settings:
     extrapolated: float = 0.5
     masking: bool = True
     holes: float = 1.0
-    upright: bool = False
+    augment: Augment = "all"
     compiled: bool = False
     second_color: SecondColor = "newest"
     hole_fill: HoleFill = "occlusion_warp"
@@ -178,8 +179,14 @@ def train(out: Path, shards: list[Shard], state: State, settings: Settings, plan
             step=0,
             **{name: validate(model, shards, "validation", most=plan.most, device=device) for name, model in before.items()},
         )
-    drawn = {"masking": settings.masking, "upright": settings.upright}
-    batches = Batches(shards, side=settings.crop, batch=settings.batch, seed=settings.seed, **drawn)
+    batches = Batches(
+        shards,
+        side=settings.crop,
+        batch=settings.batch,
+        seed=settings.seed,
+        masking=settings.masking,
+        how=settings.augment,
+    )
     aims = Aims(
         half=settings.half,
         squares=settings.squares,
@@ -230,7 +237,10 @@ def options() -> argparse.ArgumentParser:
     parser.add_argument("--no-masking", dest="masking", action="store_false", help="without Random Reshading Masking")
     parser.add_argument("--no-history", dest="history", action="store_false", help="weights that do not read the history")
     parser.add_argument(
-        "--upright", action="store_true", help="crops are mirrored, but neither turned nor their colours exchanged"
+        "--augment",
+        choices=AUGMENTS,
+        default="all",
+        help="upright: crops are neither turned nor their colours exchanged; none: for one scene",
     )
     parser.add_argument(
         "--second-color",
@@ -277,7 +287,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         extrapolated=chosen.extrapolated,
         masking=chosen.masking,
         holes=chosen.holes,
-        upright=chosen.upright,
+        augment=chosen.augment,
         compiled=chosen.compile,
         second_color=chosen.second_color or before,
         hole_fill=shards[0].hole_fill,

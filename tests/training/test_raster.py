@@ -7,23 +7,33 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from stss.images.read_write import read_rgb
 from stss.sequence.reader import open_sequence
-from training.raster.make import DRAW, TRACKS, VALIDATION, draw_clip, write_clip
-
-HELD_OUT = {"candela_city", "black_forest"}
+from stss_ground.errors import InputError
+from training.raster.make import DRAW, HELD_OUT, LIGHT, TRACKS, VALIDATION, draw_clip, main, write_clip
 
 
 def test_no_clip_shows_what_is_measured():
     """Every track has clips, the held-out ones have none, and a number always draws the same clip."""
     clips = [draw_clip(n) for n in range(64)]
     assert {c["track"] for c in clips} == {*TRACKS, *VALIDATION}
-    assert not HELD_OUT & {*TRACKS, *VALIDATION}
+    assert not {*HELD_OUT} & {*TRACKS, *VALIDATION}
     assert not {*TRACKS} & {*VALIDATION}
     assert all(draw(7) == draw(7) for draw in DRAW.values())
     assert {c["camera"] for c in clips} == {"fly", "pan", "still"}
     assert {c["bias"] for c in clips} == {0, -1}
+    with pytest.raises(InputError, match="--track candela_city: expected another"):
+        main(["--assets", "none", "--track", "candela_city", "-o", "none"])
+
+
+def test_clips_of_one_track_differ_in_cameras_and_karts_but_not_in_light():
+    clips = [draw_clip(n, "snowtuxpeak") for n in range(32)]
+    assert {c["track"] for c in clips} == {"snowtuxpeak"}
+    assert len({c["name"] for c in clips}) == len({c["start"] for c in clips}) == len(clips)
+    assert {c["camera"] for c in clips} == {"fly", "pan", "still"}
+    assert all(len({str(c[name]) for c in clips}) == 1 for name in (*LIGHT, "bias"))
 
 
 def test_planes_arrive_in_the_conventions_of_the_profile(tmp_path: Path):

@@ -107,6 +107,9 @@ def test_augmentation_keeps_what_belongs_together():
         np.testing.assert_array_equal(new[..., NORMAL], np.broadcast_to(normal, (16, 16, 3)))
         assert abs(np.linalg.norm(normal) - 1) < 1e-6
     assert {*ups} == {1, 2}
+    (new,), (large,) = augment(inputs[None], truth[None], np.random.default_rng(0), how="none")
+    np.testing.assert_array_equal(new, inputs)
+    np.testing.assert_array_equal(large, truth)
 
 
 def test_motion_turns_with_the_picture():

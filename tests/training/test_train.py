@@ -78,7 +78,8 @@ def test_options_reach_the_run(data, tmp_path):
         "structure": ("--structure", "90"),
         "structure of EFs": ("--structure", "90", "--structure-ef", "20"),
         "extrapolated": (*squares, "--extrapolated", "0.7"),
-        "upright": ("--upright",),
+        "upright": ("--augment", "upright"),
+        "one scene": ("--augment", "none"),
         "detail": ("--second-color", "detail"),
     }
     for name, options in runs.items():

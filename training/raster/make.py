@@ -8,6 +8,7 @@ import json
 import math
 import shutil
 import subprocess
+import zlib
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -17,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stss.images.read_write import write_channels, write_rgb
+from stss_ground.errors import InputError
 from training.command import command
 
 Clip = dict[str, Any]
@@ -27,7 +29,8 @@ TRACKS = (
     "ravenbridge_mansion", "sandtrack", "snowmountain", "stk_enterprise", "volcano_island", "xr591",
 )  # fmt: skip
 VALIDATION = ("scotland", "zengarden")
-"""No clip of candela_city or black_forest is made: views of them are measured."""
+HELD_OUT = ("candela_city", "black_forest")
+"""No clip of these is made: views of them are measured."""
 SURFACES = (
     "castelwall.jpg", "beige_bricks.jpg", "city_bricks.png", "cottage_wall1.jpg", "dark-wall-wood.png", "dirtbrick.png", "marble.jpg",
     "oldWood.png", "Paving_stones_2.jpg", "pyramidwall.jpg", "rockwall.jpg", "stk_corrugMetal_a.png", "stk_generic_brickRoad_a.png",
@@ -61,6 +64,7 @@ FRAMES, TRUTHS, SIZE = 7, (5, 6), (256, 144)
 """An output needs five frames before its own; two outputs in a row show what flickers."""
 SAMPLES = 4
 """The truth has SAMPLES x SAMPLES samples a pixel."""
+LIGHT = ("sky", "skyGain", "sun", "sunColor", "sunPower", "exposed")
 JITTER = ((0, 0), (0.5, 0.5), (0.5, 0), (0, 0.5))
 """The camera's shifts in pixels, x right, y down, each for two frames in turn."""
 FAR = 1e7
@@ -70,9 +74,13 @@ FAR_DEPTH = 1e10
 
 
 def draw_clip(number: int, track: str | None = None) -> Clip:
-    """The clip with this number: of a track, or four of each track in turn; the rest is chance."""
+    """The clip with this number: four of each track in turn, the rest is chance; of one track, under its one light, with a LOD bias."""
+    if track is not None:
+        light = draw_clip(zlib.crc32(track.encode()))
+        own = {"name": f"{track}_{number:03}", "track": track, "bias": -1.0}
+        return draw_clip(number) | {name: light[name] for name in LIGHT} | own
     random = np.random.default_rng(number)
-    track = track or (*TRACKS, *VALIDATION)[number // 4 % (len(TRACKS) + len(VALIDATION))]
+    track = (*TRACKS, *VALIDATION)[number // 4 % (len(TRACKS) + len(VALIDATION))]
     camera = ("fly", "pan", "fly", "still")[number % 4]
     height = float(random.choice((0.7, 1.7, 3.5, 7.0)))
     skies, power, color, lift = (
@@ -303,10 +311,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--clips", type=int, default=64)
     parser.add_argument("--first", type=int, default=0, help="number of the first clip")
     parser.add_argument("--kind", choices=DRAW, default="track")
-    parser.add_argument("--track", choices=(*TRACKS, *VALIDATION), help="all clips of --kind track on this one")
+    parser.add_argument("--track", help="all clips of --kind track on this one, under one light")
     parser.add_argument("--jitter", action="store_true", help="shift the camera by half pixels, the truth's too")
     parser.add_argument("-o", "--out", type=Path, required=True, help="a folder for each clip; an existing one is not made again")
     chosen = parser.parse_args(arguments)
+    if chosen.track in HELD_OUT:
+        raise InputError(f"--track {chosen.track}: expected another, views of {' and '.join(HELD_OUT)} are measured")
     jitter = JITTER if chosen.jitter else None
     draw = partial(draw_clip, track=chosen.track) if chosen.kind == "track" else DRAW[chosen.kind]
     clips = [draw(n) | {"jitter": jitter} for n in range(chosen.first, chosen.first + chosen.clips)]
