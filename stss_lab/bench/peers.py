@@ -204,6 +204,49 @@ class Mnn(Peer):
         return np.array(held.getNumpyData(), np.float32).reshape(made.shape)
 
 
+class ExecuTorch(Peer):
+    """ExecuTorch on the CPU, in float32: XNNPACK, and portable kernels where it has no operator.
+
+    Args:
+        setup: weights, size and threads.
+    """
+
+    def __init__(self, setup: Setup):
+        super().__init__(setup)
+        self._torch = torch = require("torch")
+        network = TorchNetwork(setup.weights, memory_format=torch.contiguous_format)  # XNNPACK's passes refuse channels_last
+
+        class Module(torch.nn.Module):
+            def forward(self, color: Any, gbuffer: Any, mask: Any, history: Any) -> Any:
+                return network(color, gbuffer, mask, history)
+
+        height, width = (-(-length // 8) * 8 for length in (setup.height, setup.width))
+        inputs = tuple(torch.zeros(n, c, height, width) for n, c in ((1, 6), (1, 9), (1, 1), (3, 4)))
+        lower = require("executorch.exir").to_edge_transform_and_lower
+        xnnpack = require("executorch.backends.xnnpack.partition.xnnpack_partitioner").XnnpackPartitioner()
+        with torch.no_grad():
+            program = lower(torch.export.export(Module(), inputs), partitioner=[xnnpack]).to_executorch()
+        require("executorch.extension.pybindings.portable_lib")._unsafe_reset_threadpool(setup.threads)
+        self._program = require("executorch.runtime").Runtime.get().load_program(program.buffer)
+        self._method = self._program.load_method("forward")
+        self.details = {
+            **versions(("executorch", "torch")),
+            "precision": "float32",
+            "formulation": "gates merged, window as slices",
+            "threads": str(setup.threads),
+        }
+
+    def _bind(self, inputs: dict[str, Array]) -> None:
+        self._inputs = [self._torch.from_numpy(array) for array in inputs.values()]
+
+    def run(self) -> None:
+        """See `Contender`."""
+        (self._image,) = self._method.execute(self._inputs)
+
+    def _result(self) -> Array:
+        return self._image.numpy()
+
+
 def _model(setup: Setup) -> bytes:
     return onnx_export.export(setup.weights, -(-setup.height // 8) * 8, -(-setup.width // 8) * 8).SerializeToString()
 
@@ -215,6 +258,7 @@ PEERS: dict[str, Callable[[Setup], Peer]] = {
     "openvino": partial(OpenVino, float32=True),
     "openvino-default": partial(OpenVino, float32=False),
     "mnn": Mnn,
+    "executorch": ExecuTorch,
     "pytorch-cuda": partial(PyTorch, cuda=True, half=True),
     "pytorch-cuda-compiled": partial(PyTorch, cuda=True, half=True, compiled=True),
     "pytorch-cuda-float32": partial(PyTorch, cuda=True),

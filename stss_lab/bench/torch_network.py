@@ -19,7 +19,7 @@ class TorchNetwork:
 
     Args:
         weights: the 92 tensors.
-        options: for the tensors, of ``torch.Tensor.to``: device, dtype. Weights (O, C, k, k) are ``channels_last``.
+        options: for the tensors, of ``torch.Tensor.to``: device, dtype, memory format of weights (O, C, k, k): else ``channels_last``.
     """
 
     def __init__(self, weights: Weights, **options: Any):
@@ -29,7 +29,7 @@ class TorchNetwork:
         for name in [name for name in tensors if ".conv_feature." in name]:
             layer, kind = name.split(".conv_feature.")
             tensors[f"{layer}.{kind}"] = self._torch.cat([tensors[name], tensors[f"{layer}.conv_mask.0.{kind}"]])
-        layout = self._torch.channels_last
+        layout = options.pop("memory_format", self._torch.channels_last)
         self._tensors = {n: t.to(memory_format=layout, **options) if t.ndim == 4 else t.to(**options) for n, t in tensors.items()}
 
     def __call__(self, color: Any, gbuffer: Any, mask: Any, history: Any) -> Any:

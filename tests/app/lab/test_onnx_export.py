@@ -10,13 +10,13 @@ from stss_ground.errors import InputError
 from stss_lab.bench import onnx_export
 from stss_lab.bench.contender import Setup
 from stss_lab.bench.ours import network_inputs
-from stss_lab.bench.peers import Mnn, OnnxRuntime, OpenVino, PyTorch
+from stss_lab.bench.peers import ExecuTorch, Mnn, OnnxRuntime, OpenVino, PyTorch
 from stss_ref.network import network
 from stss_ref.weights import astype
 from stss_ref.weights import random as random_weights
 
 WEIGHTS = random_weights(5)
-ENGINES = {"onnxruntime": OnnxRuntime, "openvino": partial(OpenVino, float32=True), "torch": PyTorch}
+ENGINES = {"onnxruntime": OnnxRuntime, "openvino": partial(OpenVino, float32=True), "torch": PyTorch, "executorch": ExecuTorch}
 
 
 def truth(inputs):
@@ -59,10 +59,11 @@ def test_a_file_is_whole_or_not_there(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["m.onnx"]
 
 
+@pytest.mark.filterwarnings("ignore:read_text is deprecated:DeprecationWarning")  # by ExecuTorch
 @pytest.mark.parametrize("engine", ENGINES)
 def test_engines_compute_the_network(engine):
     """And with other weights another one: the comparison can fail."""
-    need(engine, *(["onnx"] if engine != "torch" else []))
+    need(engine, "torch" if "torch" in engine else "onnx")
     inputs = network_inputs(13, 21)
     for weights, same in ((WEIGHTS, True), (random_weights(6), False)):
         peer = ENGINES[engine](Setup(weights, 13, 21, device=None, threads=1))
