@@ -66,6 +66,7 @@ def main():
     scene, monkey = make_scene()
     render_truth(scene, out / "truth")
     before = settings(scene)
+    bpy.ops.wm.save_as_mainfile(filepath=str(out / "shot.blend"))
     scene.stss.folder = str(out / "film")
     scene.stss.options = "--backend ref --format png --weights bilinear"
     (out / "film" / "lr").mkdir(parents=True)  # of an earlier film, which was longer

@@ -221,3 +221,17 @@ def test_a_scene_becomes_supersampled_frames_without_a_hand_on_it(bpy_python, pa
         errors = [float(np.square(made[at] - truth[other]).mean()) for other in (at - 1, at, at + 1)]
         assert np.isfinite(made[at]).all()
         assert errors[1] < 0.7 * min(errors[0], errors[2]), errors
+    rows = measure_saving(bpy_python[0], tmp_path)
+    assert [name for name, _, _ in rows] == ["full-1", "full-2", "stss"]
+    assert all(took > 0 and 15 < psnr < 60 for _, took, psnr in rows)
+    assert rows[0][2] < rows[1][2], "more samples, no better"
+
+
+def measure_saving(python, folder):
+    """What ``measure_saving.py`` prints of the scene: (name, seconds of a frame, PSNR)."""
+    words = [python, ROOT / "blender/measure_saving.py", folder / "shot.blend", "-o", folder / "saving", "--frames", "1", "3"]
+    words += ["--samples", "2", "--truth", "8", "--stss", f"{sys.executable} -m stss", "--options", "--backend ref"]
+    done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=900)
+    assert done.returncode == 0, done.stdout + done.stderr
+    found = re.findall(r"^([\w-]+): ([\d.]+) s, ([\d.]+) dB, SSIM 0\.\d{3}$", done.stdout, re.M)
+    return [(name, float(took), float(psnr)) for name, took, psnr in found]
