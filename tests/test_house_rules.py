@@ -28,7 +28,7 @@ FLOORS = {
     "stress tune baselines",
     "conformance": "command pytest_plugin > graph > report > suite > explain > judging reference_port > answers mistakes cases > "
     "protocol scenes tolerance",
-    "stss_cl": "skip > frame > network image_space > device graph liveness options report",
+    "stss_cl": "skip > frame > network image_space > device graph liveness options cost",
     "stss_ground": "exit_status commands > optional option_kinds output pages progress toml_table > machine arguments > "
     "errors terminal version regular_file",
 }

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from hypothesis import strategies as st
 
-from conformance.graph.model import Given, Model
+from conformance.graph.model import Input, Model
 from conformance.graph.rounding import AnyArray
 from conformance.protocol.drawn_case import DRAWN, read_drawn
 from conformance.protocol.job_folder import JobError, read_array
@@ -103,11 +103,11 @@ def _fitting(model: Model, found: Mapping[str, Any], where: str) -> dict[str, An
     return {name: found[name] for name in names}
 
 
-def _array(given: Given, shape: Sequence[int], kind: str, random: np.random.Generator) -> AnyArray:
-    if given.dtype == "bool":
+def _array(source: Input, shape: Sequence[int], kind: str, random: np.random.Generator) -> AnyArray:
+    if source.dtype == "bool":
         return random.random(shape) < 0.5
-    if given.dtype not in ("float16", "float32", "float64"):
-        return random.integers(0, 4, shape).astype(given.dtype)
+    if source.dtype not in ("float16", "float32", "float64"):
+        return random.integers(0, 4, shape).astype(source.dtype)
     x = random.random(shape)
     if kind == "normal":
         x = random.standard_normal(shape)
@@ -126,4 +126,4 @@ def _array(given: Given, shape: Sequence[int], kind: str, random: np.random.Gene
         lit = np.zeros_like(x)
         lit.flat[int(random.integers(max(lit.size, 1)))] = 1
         x = lit
-    return (x.astype(np.float16) if kind == "halves" else x).astype(given.dtype)
+    return (x.astype(np.float16) if kind == "halves" else x).astype(source.dtype)

@@ -24,7 +24,7 @@ DTYPES = {1: "float32", 10: "float16", 11: "float64", 6: "int32", 7: "int64", 2:
 
 
 @dataclass(frozen=True)
-class Given:
+class Input:
     """An input: its name, its type, and its shape; a string stands for a size that any call may choose."""
 
     name: str
@@ -46,7 +46,7 @@ class Model:
     """
 
     path: Path
-    inputs: tuple[Given, ...]
+    inputs: tuple[Input, ...]
     outputs: tuple[str, ...]
     nodes: tuple[Node, ...]
     constants: Mapping[str, AnyArray]
@@ -74,7 +74,7 @@ def load_model(path: Path) -> Model:
         )
     graph = proto.graph
     constants = {each.name: _constant(onnx, path, each) for each in graph.initializer}
-    inputs = tuple(_given(path, each) for each in graph.input if each.name not in constants)
+    inputs = tuple(_input(path, each) for each in graph.input if each.name not in constants)
     known = {"", *constants, *(each.name for each in inputs)}
     nodes: list[Node] = []
     unknown: list[str] = []
@@ -130,7 +130,7 @@ def _constant(onnx: Any, path: Path, tensor: Any) -> AnyArray:
     return array.astype(np.float64) if array.dtype.kind not in "biu" else array
 
 
-def _given(path: Path, each: Any) -> Given:
+def _input(path: Path, each: Any) -> Input:
     kind = each.type.tensor_type
     if kind.elem_type not in DTYPES:
         raise InputError(f"{path}: input {each.name}: expected a tensor of {', '.join(DTYPES.values())}")
@@ -138,7 +138,7 @@ def _given(path: Path, each: Any) -> Given:
         d.dim_value if d.dim_value > 0 else d.dim_param if d.dim_param.isidentifier() else f"{each.name}.{i}"
         for i, d in enumerate(kind.shape.dim)
     )
-    return Given(each.name, DTYPES[kind.elem_type], shape)
+    return Input(each.name, DTYPES[kind.elem_type], shape)
 
 
 def _attribute(onnx: Any, attribute: Any) -> Any:

@@ -158,8 +158,8 @@ def frames(device: Device, generator: np.random.Generator, trial: str = REALTIME
             _exact("mask", valid, inputs.mask.astype(bool))
             arrays = inputs.color, inputs.gbuffer, inputs.mask, inputs.history
             _within("frames", image, reference_network(*(array.astype(np.float64) for array in arrays), weights=taken))
-        if number == 6 and stream.report.network != "changed":
-            raise MismatchError(f"frames: expected a part of the network to run, found {stream.report.network}")
+        if number == 6 and stream.cost.network != "changed":
+            raise MismatchError(f"frames: expected a part of the network to run, found {stream.cost.network}")
 
 
 def _inputs(window: list[Shown], steps: tuple[int, int, int]) -> FrameInputs:

@@ -11,8 +11,8 @@ from typing import Protocol
 from stss.frames.compute_options import ComputeOptions
 from stss.frames.display_frame import DisplayFrame, OnArrays
 from stss.weights.file import LoadedWeights, load
+from stss_cl.cost import Cost
 from stss_cl.liveness import has_residual
-from stss_cl.report import Report
 from stss_ground.arguments import require_choice, require_kind
 from stss_ground.errors import InputError
 from stss_ref.arrays import Image, Mask
@@ -42,7 +42,7 @@ class Backend(Protocol):
     accumulates: bool
 
     @property
-    def cost(self) -> Report | None:
+    def cost(self) -> Cost | None:
         """The cost of the last frame; None where every frame costs the same."""
         ...
 
@@ -109,9 +109,9 @@ class OpenCLBackend:
             return self._stream(window, steps)
 
     @property
-    def cost(self) -> Report:
+    def cost(self) -> Cost:
         """See ``Backend``."""
-        return self._stream.report
+        return self._stream.cost
 
 
 def open_backend(

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, Protocol
 
-from stss.frames.backends import Backend, Report
+from stss.frames.backends import Backend, Cost
 from stss.frames.display_frame import WINDOW, DisplayFrame
 from stss.frames.output import Output, compute, decode, shot_start
 from stss.frames.static_holes import static_holes
@@ -54,7 +54,7 @@ class FrameReport:
     outcome: Outcome
     reason: str = ""
     fault: bool = False
-    cost: Report | None = None
+    cost: Cost | None = None
     peak: float = 0.0
     static_holes: float | None = None
 
@@ -87,7 +87,7 @@ class _Computed:
 
     key: str
     output: Output
-    cost: Report | None
+    cost: Cost | None
     static_holes: float | None
     copied: Mapping[str, Value]
 
@@ -185,11 +185,11 @@ class FrameJob:
         share = static_holes(newest.stencil, newest.gbuffer[..., :3], output.valid) if output.kind is FrameKind.EF else None
         return _Computed(read.key, output, self.backend.cost, share, read.copied)
 
-    def write(self, made: _Computed | FrameReport) -> FrameReport:
+    def write(self, job: _Computed | FrameReport) -> FrameReport:
         """Take it back through the transfer and write its files."""
-        if isinstance(made, FrameReport):
-            return made
-        output = decode(made.output, self.curve)
+        if isinstance(job, FrameReport):
+            return job
+        output = decode(job.output, self.curve)
         if output.kind is FrameKind.EF:
             name = frame_name(output.number, "png", HOLES)
             canvas, display = self.windows
@@ -199,15 +199,15 @@ class FrameJob:
         image = output.image
         if self.options.format == "png":  # which has no windows
             image = self.curve.display(image[display.within(canvas)])
-        metadata: dict[str, Value] = {"stss:key": made.key, "stss:frame": str(output.number), "stss:kind": output.kind.value}
+        metadata: dict[str, Value] = {"stss:key": job.key, "stss:frame": str(output.number), "stss:kind": output.kind.value}
         more = {name: plane[..., 0] for name, plane in output.carried.items()} if self.options.format == "exr" else {}
-        metadata |= {**self.metadata, **made.copied}
-        if made.static_holes is not None:
-            metadata[STATIC_HOLES] = f"{made.static_holes:.4f}"
+        metadata |= {**self.metadata, **job.copied}
+        if job.static_holes is not None:
+            metadata[STATIC_HOLES] = f"{job.static_holes:.4f}"
         name = frame_name(output.number, self.options.format)
         self.sink.write(name, encode_rgb(self.sink.path / name, image, metadata=metadata, more=more, windows=(canvas, display)))
         peak = float(output.image.max())
-        return FrameReport(output.number, output.kind, "done", cost=made.cost, peak=peak, static_holes=made.static_holes)
+        return FrameReport(output.number, output.kind, "done", cost=job.cost, peak=peak, static_holes=job.static_holes)
 
 
 def describe(sequence: Sequence, options: RunOptions, method: str, backend: str, weights: str) -> dict[str, str]:

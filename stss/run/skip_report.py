@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from stss_cl.report import Report
+from stss_cl.cost import Cost
 
 
 class Tally:
@@ -17,7 +17,7 @@ class Tally:
         self._seen = 0
         self._computed = 0.0
 
-    def add(self, cost: Report | None) -> str:
+    def add(self, cost: Cost | None) -> str:
         """Count a frame; returns the share of all frames that had not changed, as text; "" if none was looked at."""
         if cost is not None:
             self._seen += 1
@@ -25,7 +25,7 @@ class Tally:
         return "" if not self._seen else f"skipped {1 - self._computed / self._seen:.0%}"
 
 
-def describe_costs(costs: Sequence[Report]) -> str:
+def describe_costs(costs: Sequence[Cost]) -> str:
     """One line that says how much of the network a run computed; ``costs`` are those of its frames."""
     whole, part, none = ([cost for cost in costs if cost.network == network] for network in ("whole", "changed", "none"))
     parts = [f"{len(whole)} whole"] if whole else []

@@ -16,6 +16,7 @@ from typing import Any, Literal, cast
 from stss_ground.arguments import path_of
 from stss_ground.errors import InputError
 from stss_ground.toml_table import Table, read_toml
+from stss_ref.depth import DepthMode
 
 BUFFERS = {
     "color": 3,
@@ -124,7 +125,7 @@ class Profile:
     normal: NormalRule
     units_per_cm: float
     color_domain: Literal["linear", "display"]
-    depth_normalisation: Literal["clip", "scale"]
+    depth_normalisation: DepthMode
     files: Mapping[str, str] = field(default_factory=dict[str, str])
     camera: tuple[Channels, ...] = ()
     constants: Mapping[str, float] = field(default_factory=dict[str, float])

@@ -34,8 +34,8 @@ DIGEST = hashlib.sha256().digest_size
 """A stored binary begins with its own digest, of so many bytes."""
 
 MAKERS_OPTIONS = {"intel": "-D static= -D inline="}
-"""Options for a maker's GPUs. Where a function is static, Intel's compiler of 2022 unrolls no loop as it is told, and keeps arrays in
-memory."""
+"""Options for a maker's GPUs; "" for other devices. Where a function is static, Intel's compiler of 2022 unrolls no loop as it is told,
+and keeps arrays in memory."""
 
 FLUSH = "-cl-denorms-are-zero"
 """Kernels take subnormal numbers for 0, so that their time does not depend on the data: processors of Intel take a hundred cycles for each
@@ -81,8 +81,8 @@ def build(device: Device, file: str, options: Mapping[str, object] | None = None
     Raises:
         DeviceError: it does not build; the message has the source line that the compiler's log names, ``log`` has the whole log.
     """
-    given = [f"-D {k}" if v is True else f"-D {k}={v}" for k, v in (options or {}).items() if v is not None and v is not False]
-    key = (file, " ".join(["-cl-std=CL1.2", *given, MAKERS_OPTIONS.get(device.maker, ""), flags, FLUSH]).strip())
+    defines = [f"-D {k}" if v is True else f"-D {k}={v}" for k, v in (options or {}).items() if v is not None and v is not False]
+    key = (file, " ".join(["-cl-std=CL1.2", *defines, MAKERS_OPTIONS.get(device.maker, ""), flags, FLUSH]).strip())
     device.require_same_process()
     with _building:
         built = _programs.setdefault(device, {})

@@ -39,7 +39,7 @@ class Arrival:
     def __init__(self, device: Device, height: int, width: int):
         self._device, self._size, self._shape = device, (height, width), (ceil_div(height, 4), ceil_div(width, 4))
         rows, columns = self._shape
-        self._found = Parts(device, (16, rows * columns))  # bad, differs
+        self._marks = Parts(device, (16, rows * columns))  # bad, differs
         if device.is_cpu:
             self._queue, self._groups = device.queue, ((ceil_div(columns, SPAN), rows), (1, 1))
             program = build(device, "changed_tiles.cl", {"SPAN": SPAN, "PREFETCH": device.takes_prefetch})
@@ -48,7 +48,7 @@ class Arrival:
             self._queue, self._groups = staging(device).uploads, ((ITEMS * ceil_div(columns, ACROSS), rows), (ITEMS, 1))
             after(self._queue, device.queue)  # which clears them
             program = build(device, "arrive.cl")
-        bad, differs = self._found.buffers
+        bad, differs = self._marks.buffers
         self._kernel = Kernel(program, "arrive", {"bad": bad, "differs": differs, "height": height, "width": width})
         self._unread = False
 
@@ -78,8 +78,8 @@ class Arrival:
         self._unread = not compares and not recolors
         if self._unread:
             return self.not_finite() if self._device.is_cpu else None, None, None
-        found, differs = self._found.read(self._queue)
-        if bad := self._named(found.view(np.int32)):
+        bad_marks, differs = self._marks.read(self._queue)
+        if bad := self._named(bad_marks.view(np.int32)):
             return bad, None, None
         return None, self._map(differs, CHANGED) if compares else None, self._map(differs, RECOLORED) if recolors else None
 
@@ -88,14 +88,14 @@ class Arrival:
         if not self._unread:
             return None
         bad = np.empty(len(FINITE), np.int32)
-        cl.enqueue_copy(self._queue, bad, self._found.buffers[0])
+        cl.enqueue_copy(self._queue, bad, self._marks.buffers[0])
         self._unread = False
         return self._named(bad)
 
     def _named(self, bad: NDArray[np.int32]) -> str | None:
         if not bad.any():
             return None
-        cl.enqueue_fill_buffer(self._queue, self._found.buffers[0], np.zeros(1, np.int32), 0, bad.nbytes)
+        cl.enqueue_fill_buffer(self._queue, self._marks.buffers[0], np.zeros(1, np.int32), 0, bad.nbytes)
         return FINITE[int(bad.argmax())]
 
     def _map(self, differs: NDArray[np.uint8], bit: int) -> Tiles:

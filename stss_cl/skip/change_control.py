@@ -6,7 +6,7 @@ Plan, execute, learn: ``ChangeControl`` plans, ``stss_cl.skip.frame_cache`` exec
 
 from __future__ import annotations
 
-from stss_cl.report import Part
+from stss_cl.cost import Part
 
 MOST_CHANGED = 0.75
 """If a larger share of the network's inputs changed, the whole network is computed, since finding the unchanged rest would not pay."""

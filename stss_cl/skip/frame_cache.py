@@ -9,13 +9,13 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
+from stss_cl.cost import Part
 from stss_cl.device.buffers import Outgoing
 from stss_cl.device.discovery import Device
 from stss_cl.device.staging import staging
 from stss_cl.image_space.frame_planes import Sources
 from stss_cl.image_space.prepare import Prepare
 from stss_cl.network.layers import Layers
-from stss_cl.report import Part
 from stss_cl.skip.arrival import Tiles
 from stss_cl.skip.change_control import MOST_CHANGED
 from stss_cl.skip.last_image import LastImage
@@ -72,7 +72,7 @@ class FrameCache:
             looking: whether to mark the tiles in which they then differ.
 
         Returns:
-            The share that changed, of `Report`.
+            The share that changed, of `Cost`.
         """
         self._is_first, self.last = self.last is None, None  # if this fails half-way, the next frame must not use it
         self._mark(dirty)

@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from stss_cl.cost import Cost
 from stss_cl.device.buffers import Outgoing
-from stss_cl.report import Report
 from stss_cl.skip.display_frame import DisplayFrame
 
 Call = tuple[Sequence[DisplayFrame], Sequence[int]]
@@ -22,13 +22,13 @@ class FrameInFlight:
     Attributes:
         image, valid: see ``stss_cl.skip.stream.Stream.__call__``; not complete before ``finish``.
         coming: what they wait for; to be finished before it is dropped, or dropping it waits, and all threads of Python with it.
-        report: the cost of the frame.
+        cost: the cost of the frame.
     """
 
     image: Any
     valid: Any
     coming: tuple[Outgoing, ...]
-    report: Report
+    cost: Cost
 
     def finish(self) -> tuple[Any, Any]:
         """Wait for image and mask."""

@@ -52,7 +52,7 @@ class Planes:
         if not self._device.is_cpu:
             self._readers = so_far(self._device.queue)
 
-    def bring(self, given: Mapping[str, tuple[Plain, tuple[int, ...]]]) -> dict[str, cl.Buffer]:
+    def bring(self, arrays: Mapping[str, tuple[Plain, tuple[int, ...]]]) -> dict[str, cl.Buffer]:
         """Enqueue bringing the planes of a frame, by name with their shapes: they are copied, or stay where they lie.
 
         Raises:
@@ -62,10 +62,10 @@ class Planes:
         if self._readers is not None:
             cl.enqueue_barrier(self.queue, wait_for=[self._readers])
             self._readers = None
-        found = {name: self._found(name, array, shape) for name, (array, shape) in given.items()}
-        if not self._device.is_cpu and any(isinstance(array, cla.Array) for array, _ in given.values()):
+        buffers = {name: self._buffer(name, array, shape) for name, (array, shape) in arrays.items()}
+        if not self._device.is_cpu and any(isinstance(array, cla.Array) for array, _ in arrays.values()):
             after(self.queue, self._device.queue)  # there the caller, and ``on_device``, may have enqueued what makes them
-        return {n: self._widened(found[n], math.prod(shape)) if _is_half(x) else found[n] for n, (x, shape) in given.items()}
+        return {n: self._widened(buffers[n], math.prod(shape)) if _is_half(x) else buffers[n] for n, (x, shape) in arrays.items()}
 
     def arrived(self) -> None:
         """Have launches from now on wait for what was brought."""
@@ -73,8 +73,8 @@ class Planes:
             after(self._device.queue, self.queue)
         self._some_arrive = False
 
-    def _found(self, name: str, given: Plain, shape: tuple[int, ...]) -> cl.Buffer:
-        array: Any = given if isinstance(given, cla.Array) else np.asarray(given)
+    def _buffer(self, name: str, plane: Plain, shape: tuple[int, ...]) -> cl.Buffer:
+        array: Any = plane if isinstance(plane, cla.Array) else np.asarray(plane)
         require_shape(name, array, shape)
         dtype = np.float16 if _is_half(array) and name in HALF else np.float32
         if isinstance(array, cla.Array):
@@ -88,13 +88,13 @@ class Planes:
         return buffer
 
     def _widened(self, half: cl.Buffer, count: int) -> cl.Buffer:
-        made: Any = self._pool.allocate(4 * count)
+        target: Any = self._pool.allocate(4 * count)
         size = ceil_div(ceil_div(count, 4), GROUP) * GROUP
-        self._widen.set(**{"from": half, "to": made, "count": count})
+        self._widen.set(**{"from": half, "to": target, "count": count})
         done = self._widen.enqueue(self.queue, (size,), (GROUP,))
         if self._device.is_cpu:
             done.wait()  # the caller's array was read in place
-        return made
+        return target
 
     @cached_property
     def _widen(self) -> Kernel:

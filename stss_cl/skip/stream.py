@@ -12,6 +12,7 @@ import pyopencl as cl
 import pyopencl.array as cla
 from numpy.typing import NDArray
 
+from stss_cl.cost import Cost
 from stss_cl.device.buffers import Outgoing, mask_of, on_device
 from stss_cl.device.discovery import Device
 from stss_cl.device.grid import ceil8
@@ -21,7 +22,6 @@ from stss_cl.network.layer_builder import dtype_of
 from stss_cl.network.layers import Layers
 from stss_cl.network.strips import bytes_for
 from stss_cl.options import SKIPS, Precision, Skip
-from stss_cl.report import Report
 from stss_cl.skip.arrival import Tiles
 from stss_cl.skip.change_control import ChangeControl
 from stss_cl.skip.display_frame import DisplayFrame, require_window
@@ -46,7 +46,8 @@ class Stream:
         skip: one of ``SKIPS``.
 
     Attributes:
-        report: the cost of the last frame.
+        cost: the cost of the last frame.
+        control: decides where to look for changes.
     """
 
     def __init__(
@@ -62,11 +63,11 @@ class Stream:
         self._whole = Frame(weights, device, precision, gather, memory_limit)
         self.device = self._whole.device
         self.precision: Precision = precision
-        self.report = Report(1.0, "whole")
+        self.cost = Cost(1.0, "whole")
         self._gather: Gather = gather
         self._weights, self._memory = weights, self.device.memory // 2 if memory_limit is None else memory_limit
         self._skip: Skip = skip
-        self._control = ChangeControl()
+        self.control = ChangeControl()
         self._uploaded: UploadedFrames | None = None
         self._caches: dict[bool, FrameCache] = {}
         self._latest: FrameCache | None = None
@@ -98,17 +99,17 @@ class Stream:
                 is not finite.
         """
         if out is None:
-            return self._begin(window, steps).finish()
+            return self.begin(window, steps).finish()
         require_window(window)
         height, width = window[-1].nov.shape
         require_shape("out", out, (2 * height, 2 * width, 3))
         if isinstance(out, cla.Array):
             on_device(self.device, "out", out)
-            return self._begin(window, steps, out).finish()
+            return self.begin(window, steps, out).finish()
         require_dtype("out", out, np.dtype(np.float32))
         if not (out.flags.c_contiguous and out.flags.writeable):
             raise ArrayError("out: expected a C-contiguous array that can be written to")
-        image, valid = self._begin(window, steps, on_host=True).finish()
+        image, valid = self.begin(window, steps, on_host=True).finish()
         np.copyto(out, image)
         return out, valid
 
@@ -117,7 +118,7 @@ class Stream:
 
         On a GPU each frame is begun before the one before it is handed out: while a frame is computed, the planes of the next one
         arrive, and the image before it leaves. Thus ``calls`` are taken one ahead, and what is wrong with one is raised in its turn,
-        after all frames before it. Neither an error nor closing the iterator early harms the stream. ``report`` is that of the
+        after all frames before it. Neither an error nor closing the iterator early harms the stream. ``cost`` is that of the
         frame handed out last, ``activity`` that of the frame begun last.
 
         On a CPU nothing has to arrive or leave: each frame is computed when it is asked for, and its call taken then.
@@ -126,9 +127,9 @@ class Stream:
             for window, steps in calls:
                 yield self(window, steps)
             return
-        yield from one_ahead(calls, self._begin, self._finish)
+        yield from one_ahead(calls, self.begin, self._finish)
 
-    def _begin(
+    def begin(
         self, window: Sequence[DisplayFrame], steps: Sequence[int], out: cla.Array | None = None, *, on_host: bool = False
     ) -> FrameInFlight:
         """Begin a frame, whose image comes to ``out`` if that is given, or lies where the frame's G-buffer does, unless ``on_host``."""
@@ -136,19 +137,19 @@ class Stream:
         if out is None and not on_host and isinstance(window[-1].gbuffer, cla.Array):
             height, width = window[-1].nov.shape
             out = cla.empty(self.device.queue, (2 * height, 2 * width, 3), np.float32, allocator=self.device.pool)
-        made = self._enqueue(window, steps, out)
+        frame = self._enqueue(window, steps, out)
         assert self._uploaded is not None
         try:
             self._uploaded.require_finite()
         except ArrayError:
-            made.finish()
+            frame.finish()
             for cache in self._caches.values():
                 cache.last = None  # what is kept may come of what was not finite
             raise
-        return made
+        return frame
 
     def _finish(self, frame: FrameInFlight) -> tuple[Any, Any]:
-        self.report = frame.report
+        self.cost = frame.cost
         return frame.finish()
 
     def _enqueue(self, window: Sequence[DisplayFrame], steps: Sequence[int], out: cla.Array | None) -> FrameInFlight:
@@ -160,11 +161,11 @@ class Stream:
         shape: Any = window[-1].nov.shape
         window, size = window[-MOST_STEPS - 1 :], shape
         uploaded, cache = self._arriving(size), self._keep(size, extrapolates=chosen[0] > 0)
-        looking = self._control.begin()
+        looking = self.control.begin()
         frames = uploaded.take(window, compare=cache is not None and looking)
         self._latest = cache
         if cache is None:
-            self.report = Report(1.0, "whole")
+            self.cost = Cost(1.0, "whole")
             return self._compute_whole(sources(frames, chosen), size, out)
         dirty = self._dirty(uploaded, cache, frames, cache.read(chosen)) if looking else None
         return self._compute(cache, frames, chosen, dirty, looking, out)
@@ -186,7 +187,7 @@ class Stream:
         """
         assert self._uploaded is not None, "no frame was computed yet"
         rows, columns = (-(-length // 4) for length in self._uploaded.size)
-        network = self.report.network
+        network = self.cost.network
         if self._latest is None or network != "changed":
             return np.full((rows, columns), network != "none", np.float32)
         return self._latest.network.activity()[:rows, :columns]
@@ -202,13 +203,13 @@ class Stream:
     ) -> FrameInFlight:
         """Plan the frame, execute the plan, learn. ``dirty``, ``looking``: see ``FrameCache.prepare_inputs``."""
         if cache.last is not None and dirty is not None and not dirty.any():
-            self.report = Report(0.0, "none")
+            self.cost = Cost(0.0, "none")
             return self._hand_out(cache, frames, steps, out, cache.last.valid)
         changed = cache.prepare_inputs(sources(frames, steps), dirty, looking=looking)
-        network = self._control.plan(changed)
+        network = self.control.plan(changed)
         cache.execute(network)
-        self._control.learn(network)
-        self.report = Report(changed, network)
+        self.control.learn(network)
+        self.cost = Cost(changed, network)
         return self._hand_out(cache, frames, steps, out, None)
 
     def _hand_out(
@@ -224,7 +225,7 @@ class Stream:
             cache.image.copy_to(out)
             cache.last = _last(frames, cache.read(steps), valid)
             there = mask_of(self.device, cache.prepare.mask, cache.layers.size, on_device=True)
-            return FrameInFlight(out, there.array, (), self.report)
+            return FrameInFlight(out, there.array, (), self.cost)
         if valid is None:
             valid = mask_of(self.device, cache.prepare.mask, cache.layers.size, on_device=False)
         cache.last = _last(frames, cache.read(steps), valid)
@@ -232,7 +233,7 @@ class Stream:
         valid.send()
         mask = valid.array.view(np.bool_)
         mask.flags.writeable = False
-        return FrameInFlight(shown, mask, (image, valid), self.report)
+        return FrameInFlight(shown, mask, (image, valid), self.cost)
 
     def _compute_whole(self, read: Sources, size: tuple[int, int], out: cla.Array | None) -> FrameInFlight:
         """Compute a frame of which nothing is kept."""
@@ -242,10 +243,10 @@ class Stream:
         if out is not None:
             to: Any = out.base_data
             cl.enqueue_copy(self.device.queue, to, image.data, byte_count=out.nbytes, dst_offset=out.offset)
-            return FrameInFlight(out, valid.array, (), self.report)
+            return FrameInFlight(out, valid.array, (), self.cost)
         image.send()
         valid.send()
-        return FrameInFlight(image.array, valid.array.view(np.bool_), (image, valid), self.report)
+        return FrameInFlight(image.array, valid.array.view(np.bool_), (image, valid), self.cost)
 
     def _arriving(self, size: tuple[int, int]) -> UploadedFrames:
         if self._uploaded is None or self._uploaded.size != size:
@@ -262,8 +263,8 @@ class Stream:
                 self._skip = "off"
                 return None
             layers = Layers(self.device, self._weights, *size, self.precision, self._memory, keep=True)
-            self._caches[extrapolates] = made = FrameCache(self.device, layers, self._gather)
-            made.load()  # here rather than at the first change
+            self._caches[extrapolates] = cache = FrameCache(self.device, layers, self._gather)
+            cache.load()  # here rather than at the first change
         return self._caches[extrapolates]
 
     def _can_keep(self, size: tuple[int, int]) -> bool:

@@ -23,10 +23,10 @@ REACH = 3.0
 UNSCALED = ("mask", "valid", "depth", "nov", "stencil", "stencil_previous", "normal", "normal_previous")
 """Inputs that are not scaled, since their range is fixed by definition."""
 
-Given = dict[str, NDArray[Any]]
+Inputs = dict[str, NDArray[Any]]
 
 
-def frame_noise(seed: int, height: int, width: int) -> Given:
+def frame_noise(seed: int, height: int, width: int) -> Inputs:
     """Inputs of stage ``network``: colours and materials in [0, 1], normals of unit length, a fifth of the masks 0."""
     random = np.random.default_rng(seed)
     normal = random.standard_normal((height, width, 3))
@@ -39,7 +39,7 @@ def frame_noise(seed: int, height: int, width: int) -> Given:
     return {name: array.astype(np.float32) for name, array in given.items()}
 
 
-def image_noise(seed: int, height: int, width: int) -> dict[str, Given]:
+def image_noise(seed: int, height: int, width: int) -> dict[str, Inputs]:
     """Inputs of the image-space stages except ``holes``: noise that moves by up to ``REACH``."""
     random = np.random.default_rng(seed + 1000)
     motions = random.uniform(-REACH, REACH, (3, height, width, 2)).astype(np.float32)
@@ -53,7 +53,7 @@ def image_noise(seed: int, height: int, width: int) -> dict[str, Given]:
     }
 
 
-def stage_inputs(seed: int, height: int, width: int, weights: Weights) -> dict[str, Given]:
+def stage_inputs(seed: int, height: int, width: int, weights: Weights) -> dict[str, Inputs]:
     """Stage -> inputs, float32, of each stage with weights."""
     frame = frame_noise(seed, height, width)
     made = {name: array.astype(np.float32) for name, array in features_of(exact(frame), weights).items()}
@@ -66,12 +66,12 @@ def stage_inputs(seed: int, height: int, width: int, weights: Weights) -> dict[s
     }
 
 
-def exact(inputs: Arrays) -> Given:
+def exact(inputs: Arrays) -> Inputs:
     """The same numbers in float64; masks of integers stay."""
     return {name: array.astype(np.float64) if array.dtype.kind == "f" else array for name, array in inputs.items()}
 
 
-def scaled(stage: str, inputs: Arrays, by: float) -> Given:
+def scaled(stage: str, inputs: Arrays, by: float) -> Inputs:
     """Inputs ``by`` times as large, rounded to float32, except those in `UNSCALED`. Motion is scaled only where it is the only input."""
     unscaled = (*UNSCALED, "motion") if stage != "motion_chain" else UNSCALED
     result = {n: a if n in unscaled or a.dtype.kind != "f" else (a * float(by)).astype(np.float32) for n, a in inputs.items()}

@@ -1,7 +1,6 @@
 """Every test of the backend runs on its device twice: treated as a processor, and as a GPU."""
 
 from functools import cache
-from weakref import WeakKeyDictionary
 
 import pyopencl as cl
 import pytest
@@ -51,8 +50,14 @@ def opened_as(device_class):
     if device_class == "cpu" and opened.kind != "CPU":
         pytest.skip(f"{opened.name} is no processor")
     if device_class == "gpu" and opened.kind == "CPU":
-        opened.__class__ = LikeGpu
+        return LikeGpu(opened.handle, opened.context, opened.queue, "gpu")
     return opened
+
+
+def anew(device):
+    """The same device, for which nothing is built or proved yet."""
+    context = cl.Context([device.handle])
+    return type(device)(device.handle, context, cl.CommandQueue(context), device.device_class)
 
 
 @pytest.fixture
@@ -65,13 +70,7 @@ def opened(device, monkeypatch):
 @pytest.fixture
 def unoptimised(monkeypatch):
     """Programs for a processor are built without optimisation: a fifth of the time, for tests of logic whose programs no other test has."""
-    made = program._stored_or_built
-
-    def quickly(device, text, options):
-        return made(device, text, f"{options} -cl-opt-disable" if device.kind == "CPU" else options)
-
-    monkeypatch.setattr(program, "_stored_or_built", quickly)
-    monkeypatch.setattr(program, "_programs", WeakKeyDictionary())
+    monkeypatch.setitem(program.MAKERS_OPTIONS, "", "-cl-opt-disable")
 
 
 @pytest.fixture

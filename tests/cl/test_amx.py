@@ -1,7 +1,6 @@
 """Convolutions on a processor's matrix units, emulated here: the bits that the units must give, and who is trusted with them."""
 
 from types import SimpleNamespace
-from weakref import WeakKeyDictionary
 
 import numpy as np
 import pyopencl as cl
@@ -21,6 +20,7 @@ from stss_cl.network.plan import plan
 from stss_ground.errors import DeviceError
 from stss_ref.weights import random as random_weights
 from stss_ref.weights import zeros
+from tests.cl.conftest import anew
 from tests.cl.films import network_inputs
 from tests.cl.test_network import tensors
 
@@ -116,11 +116,9 @@ def test_what_is_not_proved_is_not_used(processor, monkeypatch, fault):
 
     monkeypatch.setattr(amx, "missing", lambda _: "")
     monkeypatch.setattr(amx, "product_is_right", tried)
-    monkeypatch.setattr(amx, "_proved", WeakKeyDictionary())
-    assert not amx.are_used(processor)
+    assert not amx.are_used(anew(processor))
     monkeypatch.setattr(amx, "product_is_right", lambda device, *, emulate: True)
-    monkeypatch.setattr(amx, "_proved", WeakKeyDictionary())
-    assert amx.are_used(processor)
+    assert amx.are_used(anew(processor))
 
 
 def test_what_is_missing_is_said(gpu, monkeypatch):

@@ -19,7 +19,7 @@ def seen(stream, frames, plain=None):
     letters = ""
     for call in calls_of(frames):
         image = stream(*call)
-        letters += stream.report.network[0]
+        letters += stream.cost.network[0]
         if plain is not None:
             assert_same(image, plain(*call))
     return letters

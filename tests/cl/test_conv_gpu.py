@@ -1,7 +1,6 @@
 """The convolutions for GPUs, on any device, against the reference; those for processors, too, over the tiles of a list."""
 
 from dataclasses import replace
-from weakref import WeakKeyDictionary
 
 import numpy as np
 import pyopencl as cl
@@ -17,6 +16,7 @@ from stss_cl.network.conv import conv
 from stss_cl.network.pack_weights import pack
 from stss_cl.network.tiles import TileList
 from stss_ground.errors import DeviceError
+from tests.cl.conftest import anew
 from tests.cl.test_network import bounds, tensors
 
 pytestmark = pytest.mark.usefixtures("unoptimised")
@@ -129,9 +129,8 @@ def swapped(*places):
     ],
 )
 def test_what_is_not_proved_is_not_used(device, monkeypatch, name, fault):
-    monkeypatch.setattr(matrix_units, "_proved", WeakKeyDictionary())
     assert matrix_units.prove(device)
-    monkeypatch.setattr(matrix_units, "_proved", WeakKeyDictionary())
+    device = anew(device)
     monkeypatch.setattr(matrix_units, name, fault)
     assert not matrix_units.prove(device)
     assert Case(device, LAYERS[0], HALF).layer(MATRIX).source.file == "conv_local.cl"

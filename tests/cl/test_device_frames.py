@@ -52,7 +52,7 @@ def test_what_is_not_finite_is_named_and_leaves_nothing(device, skip, there):
     broken = replace(frames[7], nov=frames[7].nov.copy())
     broken.nov[3, 4] = np.nan
     stream, fresh = Stream(WEIGHTS, device, skip=skip), Stream(WEIGHTS, device, skip="off")
-    stream._control.frames_unlooked = 100  # nobody waits for what is found on arrival
+    stream.control.frames_unlooked = 100  # nobody waits for what is found on arrival
     shown = [on(device, frame) for frame in (*frames, broken)] if there else [*frames, broken]
     stream(shown[:7][-6:], plan(frames[1:7]).steps)
     with pytest.raises(ArrayError, match="nov:"):

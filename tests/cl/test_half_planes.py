@@ -51,7 +51,7 @@ def test_frames_of_half_have_the_bits_of_the_same_values_in_float32(device, skip
     for call, also, expected in zip(calls_of(frames), ahead.frames(calls_of(frames)), want, strict=True):
         assert_same(here(stream(*call)), expected)
         assert_same(here(also), expected)
-        told.add(stream.report.network)
+        told.add(stream.cost.network)
     assert skip == "off" or {"none", "changed", "whole"} <= told
 
 

@@ -7,10 +7,10 @@ import pyopencl as cl
 import pytest
 
 from stss_cl.device import program, signatures
-from stss_cl.device.discovery import open_device
 from stss_cl.device.launch import Kernel, Launch
 from stss_cl.image_space.prepare import Prepare
 from stss_cl.image_space.stages import hole_options
+from tests.cl.conftest import anew
 from tests.cl.films import frame_inputs
 
 SCALE = """\
@@ -34,7 +34,7 @@ ORDERS = (
 @pytest.fixture
 def processor(processor):
     """One that has no programs yet."""
-    return open_device(device_class="cpu")
+    return anew(processor)
 
 
 @pytest.fixture
@@ -113,7 +113,7 @@ def test_a_driver_need_not_know_the_names(processor, kernels, buffers, monkeypat
         monkeypatch.setattr(program, "has_src_build_cache", lambda handle: None)
         monkeypatch.setenv("XDG_CACHE_HOME", str(kernels / "cache"))
     (kernels / "scale.cl").write_text(SCALE.replace("ARGUMENTS", ORDERS[0]))
-    for device in (processor, open_device(device_class="cpu")):
+    for device in (processor, anew(processor)):
         held = {name: cl.Buffer(device.context, cl.mem_flags.READ_WRITE, 16) for name in buffers}
         cl.enqueue_copy(device.queue, held["in"], np.arange(4, dtype=np.float32))
         kernel = Kernel(program.build(device, "scale.cl"), "scale", {**held, "first": 0, "by": 2, "count": 0})
@@ -164,8 +164,7 @@ def test_a_frames_kernels_may_take_their_arguments_in_any_order(gpu, unoptimised
     planes.write_text(turned)
     assert count == swapped == 1
     monkeypatch.setattr(program, "KERNELS", tmp_path)
-    again = open_device(device_class="gpu")
-    np.testing.assert_array_equal(_prepared(again, size, inputs), first)
+    np.testing.assert_array_equal(_prepared(anew(gpu), size, inputs), first)
 
 
 def _prepared(device, size, inputs):

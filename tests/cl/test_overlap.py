@@ -79,9 +79,9 @@ def test_frames_one_ahead_have_the_bits_of_calls(device, skip, there):
     for pair, call in zip(stream.frames(iter(calls_of(shown))), calls_of(shown), strict=True):
         made.append(pair)
         copies.append(here(pair))
-        told.append(stream.report)
+        told.append(stream.cost)
         plain(*call)
-        assert told[-1] == plain.report
+        assert told[-1] == plain.cost
     for pair, copy, expected in zip(made, copies, want, strict=True):
         assert_same(copy, expected)
         assert_same(here(pair), copy)
@@ -137,7 +137,7 @@ def test_an_error_comes_in_its_turn(gpu, how, looking):
     frames = film(["moving"] * 9)
     calls, want = calls_of(frames), right(gpu, calls_of(frames))
     stream = Stream(WEIGHTS, gpu)
-    stream._control.frames_unlooked = 0 if looking else 100
+    stream.control.frames_unlooked = 0 if looking else 100
     bad = [*frames[:6], broken(frames[6], how), *frames[7:]]
 
     def given_calls():
@@ -171,7 +171,7 @@ def test_leaving_early_waits_for_what_was_begun(gpu):
 
 def begun(stream, calls):
     """The first ones of a stream that compares nothing are computed, so that it has its memory and its kernels."""
-    stream._control.frames_unlooked = 100
+    stream.control.frames_unlooked = 100
     for call in calls:
         stream(*call)
     return stream
@@ -226,10 +226,10 @@ def test_a_frame_arrives_while_the_one_before_it_is_computed_and_no_earlier(gpu,
     stop = stopped_before(monkeypatch, gpu, "conv")
     with ThreadPoolExecutor(1) as caller:
         try:
-            first, second = (caller.submit(stream._begin, *call).result(timeout=LONG) for call in calls[last : last + 2])
+            first, second = (caller.submit(stream.begin, *call).result(timeout=LONG) for call in calls[last : last + 2])
             staging(gpu).uploads.finish()
             drops = last + 1 > 5  # before, all windows begin with the first frame
-            third = caller.submit(stream._begin, *calls[last + 2]) if last + 2 < len(calls) else None
+            third = caller.submit(stream.begin, *calls[last + 2]) if last + 2 < len(calls) else None
             if third is not None and drops:
                 with pytest.raises(NotYet):
                     third.result(timeout=MOMENT)
@@ -249,7 +249,7 @@ def test_a_frame_is_whole_however_late_a_queue_is(gpu, looking, queue):
     frames = film(["moving"] * 8)
     calls, want = calls_of(frames), right(gpu, calls_of(frames))
     stream = begun(Stream(WEIGHTS, gpu), calls[:7])
-    stream._control.frames_unlooked = 0 if looking else 100
+    stream.control.frames_unlooked = 0 if looking else 100
     made = staging(gpu)
     with held_for_a_moment({"uploads": made.uploads, "downloads": made.downloads, "launches": gpu.queue}[queue]):
         for i in (7, 8):
@@ -266,7 +266,7 @@ def test_nothing_is_written_where_something_still_leaves(gpu, all_rendered):
     assert all_rendered or (want[7][1] != want[9][1]).any()
     stream = begun(Stream(WEIGHTS, gpu), calls[:7])
     with held(staging(gpu).downloads):
-        made = [stream._begin(*call) for call in calls[7:10]]
+        made = [stream.begin(*call) for call in calls[7:10]]
         gpu.queue.finish()
     for got, expected in zip(made, want[7:10], strict=True):
         assert_same(got.finish(), expected)
@@ -278,7 +278,7 @@ def test_what_an_engine_enqueues_is_waited_for(gpu, looking):
     frames = film(["moving"] * 7)
     theirs, wanted = [on(gpu, frame) for frame in frames], right(gpu, calls_of(frames)[-1:])[0]
     stream = begun(Stream(WEIGHTS, gpu), calls_of(theirs)[:-1])
-    stream._control.frames_unlooked = 0 if looking else 100
+    stream.control.frames_unlooked = 0 if looking else 100
     late = theirs[-1].nov
     right_nov = late.copy()
     late.fill(np.nan)

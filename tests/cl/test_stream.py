@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import weakref
 from dataclasses import replace
-from weakref import WeakKeyDictionary
 
 import numpy as np
 import pyopencl as cl
@@ -14,13 +13,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stss.frames.output import plan
-from stss_cl.device import program
+from stss_cl.device.program import built
 from stss_cl.network.strips import OVERLAP
 from stss_cl.options import SKIPS
 from stss_cl.skip.last_image import LastImage
 from stss_cl.skip.stream import Stream
 from stss_ref.arrays import ArrayError
-from tests.cl.conftest import watch_launches
+from tests.cl.conftest import anew, watch_launches
 from tests.cl.films import CHANGES, DETAILED, UNREAD, WEIGHTS, assert_same, calls_of, film
 
 
@@ -73,26 +72,19 @@ def test_a_frame_in_which_nothing_changed_costs_a_comparison(device):
     for i, call in enumerate(calls_of(frames)):
         keeping(*call)
         # At first older frames are missing, which SF and EF each must see gone.
-        assert i < 7 or (keeping.report.network, keeping.report.changed) == ("none", 0)
+        assert i < 7 or (keeping.cost.network, keeping.cost.changed) == ("none", 0)
 
 
 @pytest.fixture
 def compiled(monkeypatch):
     """What is compiled from now on: programs, and kernels for a size of group, which PoCL compiles at their first launch."""
-    seen, made = set(), program._build
-
-    def build(device, file, options):
-        # Not Program.build: a build that fails beside another process is tried twice.
-        seen.add((file, options))
-        return made(device, file, options)
+    seen = set()
 
     def launched(queue, kernel, group):
         seen.add((kernel.get_info(cl.kernel_info.PROGRAM).int_ptr, kernel.function_name, group))
 
-    monkeypatch.setattr(program, "_build", build)
-    monkeypatch.setattr(program, "_programs", WeakKeyDictionary())
     watch_launches(monkeypatch, launched)
-    return seen
+    return lambda device: seen | built(device).keys()
 
 
 def shots(size):
@@ -105,17 +97,17 @@ def shots(size):
 
 @pytest.mark.parametrize("skip", SKIPS)
 def test_what_is_expected_is_compiled_before_the_first_frame(device, compiled, skip):
-    size = 16, 24
+    size, device = (16, 24), anew(device)
     stream, parts = Stream(WEIGHTS, device, skip=skip), set()
     stream.expect(size)
-    expected = set(compiled)
+    expected = compiled(device)
     assert len(expected) > 50
     assert stream._caches.keys() == ({False, True} if skip == "exact" else set())  # an EF packs no weights anew
     for frames in shots(size):
         for window, steps in calls_of(frames):
             stream(window, steps)
-            parts.add((stream.report.network, steps[0] > 0))
-            assert compiled == expected
+            parts.add((stream.cost.network, steps[0] > 0))
+            assert compiled(device) == expected
     whole = {("whole", False), ("whole", True)}
     assert parts == whole if skip == "off" else parts > whole | {("changed", True), ("none", False)}
 
@@ -138,7 +130,7 @@ def test_older_frames_show_detail_in_a_hole_of_the_newest(device):
     for call in calls_of(frames)[6:]:
         got, want = (stream(*call) for stream in (keeping, plain))
         assert_same(got, want)
-    assert keeping.report.network == "changed"
+    assert keeping.cost.network == "changed"
     assert not got[1].all()
 
 
@@ -156,7 +148,7 @@ def test_what_weights_do_not_read_is_not_computed(device):
         for i, call in enumerate(calls_of(frames)):
             assert_same(keeping(*call), plain(*call))
             if i >= 8 and i % 2 == 0:
-                assert keeping.report.network == ("changed" if i <= last else "none")
+                assert keeping.cost.network == ("changed" if i <= last else "none")
 
 
 @pytest.mark.parametrize(("precision", "tall"), [("float32-direct", False), ("float32", True), ("half", False)])
@@ -180,7 +172,7 @@ def test_nothing_is_computed_far_from_a_change(device, monkeypatch, precision, t
         if i == 6:
             before = image.copy()
         if i in changes:
-            assert stream.report.network == "changed"
+            assert stream.cost.network == "changed"
             rows = np.flatnonzero(np.isfinite(image).any((1, 2) if tall else (0, 2))) // 2
             assert np.abs(rows - changes[i]).min() == 0
             assert np.abs(rows - changes[i]).max() <= reach
@@ -197,7 +189,7 @@ def test_the_attention_sees_keys_that_changed_alone(device):
         got = keeping(*call)
         if i in (8, 10, 12):
             assert_same(got, plain(*call))
-            assert keeping.report.network == "changed"
+            assert keeping.cost.network == "changed"
 
 
 def test_activity_says_where(device):
@@ -213,7 +205,7 @@ def test_activity_says_where(device):
             assert (activity == 1).all()
         elif i in (9, 10, 11):
             assert (activity == 0).all()
-    assert keeping.report.network == "changed"
+    assert keeping.cost.network == "changed"
     assert activity.max() == activity[8:13, 15:20].max()
     assert activity.min() < 0.7 * activity.max() < 0.7  # far away only the deep layers changed
     differs = (images[13] != images[11]).any(axis=-1)

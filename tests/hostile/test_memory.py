@@ -69,7 +69,7 @@ def show(frames, length, *callers):
             window.append(caller(frame))
             planned = plan(window)
             if planned is not None:
-                got.append((stream(window, planned.steps), stream.report))
+                got.append((stream(window, planned.steps), stream.cost))
         if got:
             yield got
 

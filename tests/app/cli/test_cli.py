@@ -12,7 +12,7 @@ from stss.demo import demo_path, write_demo_sequence
 from stss.images.color import transfer
 from stss.images.read_write import read_header, read_rgb
 from stss.run.skip_report import describe_costs
-from stss_cl.report import Report
+from stss_cl.cost import Cost
 from tests.app.conftest import PLAIN, files, frames_of
 from tests.hostile.cases import call, refused
 
@@ -105,7 +105,7 @@ def test_a_range_has_the_bits_of_the_whole_and_says_what_was_skipped(frames, wei
     assert names(out) == ["frame.0005.exr", "frame.0006.exr"]
     assert frames_of(out).items() <= frames_of(by_network).items()
     assert "network computed: 2 whole" in result.stderr
-    costs = [Report(1.0, "whole"), Report(0.1, "changed"), Report(0.3, "changed"), Report(0.0, "none")]
+    costs = [Cost(1.0, "whole"), Cost(0.1, "changed"), Cost(0.3, "changed"), Cost(0.0, "none")]
     assert describe_costs(costs) == "network computed: 1 whole, 2 in part (20% of the frame had changed), 1 not at all"
 
 

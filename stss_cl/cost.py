@@ -12,7 +12,7 @@ the inputs reach; ``whole``."""
 
 
 @dataclass(frozen=True)
-class Report:
+class Cost:
     """The cost of a frame.
 
     Attributes:
