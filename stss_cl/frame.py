@@ -78,7 +78,7 @@ class Frame:
         height, width = gbuffer.shape[:2]
         layers = self.network.layers(height, width)
         prepare = self._preparation(layers)
-        given = {
+        planes = {
             "colors": (colors, (3, height, width, 3)),
             "motions": (motions, (None, height, width, 2)),
             "gbuffer": (gbuffer, (height, width, 9)),
@@ -87,16 +87,16 @@ class Frame:
             "normals": (normals, (4, height, width, 3)),
             "positions": (positions, (4, height, width, 3)),
         }
-        prepare.begin(steps=steps, **{name: self._source(name, array, shape) for name, (array, shape) in given.items()})
+        prepare.begin(steps=steps, **{name: self._source(name, array, shape) for name, (array, shape) in planes.items()})
         image = Outgoing(self.device, (2 * height, 2 * width, 3), on_device=stays)
         self._run(prepare, layers, image.data)
-        made = image.finish()
+        result = image.finish()
         valid = mask_of(self.device, prepare.mask, (height, width), on_device=False).finish().view(np.bool_)
         name = prepare.not_finite()
         if name is not None:
-            array = given[name][0]
+            array = planes[name][0]
             require_finite(name, array.get() if isinstance(array, cla.Array) else array)
-        return made, valid
+        return result, valid
 
     def expect(self, size: tuple[int, int]) -> None:
         """Build in advance what ``start`` needs for planes of (height, width), and have the runtime load or compile it."""

@@ -50,11 +50,11 @@ class Program(ReadName):
 
     def reads(self, value: str) -> list[Path]:
         """The files among its words, and among the words of a word, as in ``sh -c "./port --table=t.csv"``."""
-        found: list[Path] = []
+        paths: list[Path] = []
         for word in _words(value):
             for part in (word, *re.split(r"[=:,;]", word), *(_words(word) if word != value else ())):
-                found += [Path(place) for place in (part, shutil.which(part) if part else None) if place]
-        return found
+                paths += [Path(place) for place in (part, shutil.which(part) if part else None) if place]
+        return paths
 
 
 class WrittenFile(click.Path):
@@ -76,10 +76,10 @@ class Number(click.FloatRange):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         """Parse; a wrong one is the user's mistake."""
-        found = super().convert(value, param, ctx)
-        if not math.isfinite(found):
+        path = super().convert(value, param, ctx)
+        if not math.isfinite(path):
             self.fail(f"expected a finite number, got {value!r}", param, ctx)
-        return found
+        return path
 
 
 class Names(click.ParamType):  # pyright: ignore[reportMissingTypeArgument]
@@ -104,8 +104,8 @@ class Size(click.ParamType):  # pyright: ignore[reportMissingTypeArgument]
         """Parse; a wrong size is the user's mistake."""
         if isinstance(value, tuple):
             return value
-        found = re.fullmatch(r"([1-9][0-9]{0,5})x([1-9][0-9]{0,5})", str(value))
-        width, height = (int(found[1]), int(found[2])) if found else (0, 0)
+        path = re.fullmatch(r"([1-9][0-9]{0,5})x([1-9][0-9]{0,5})", str(value))
+        width, height = (int(path[1]), int(path[2])) if path else (0, 0)
         if not 1 <= width * height <= self._most_pixels or max(width, height) > self._most_side:
             most = f"{self._most_side} a side and {self._most_pixels} pixels"
             self.fail(f"expected width x height such as 1280x720, at most {most}, got {value!r}", param, ctx)

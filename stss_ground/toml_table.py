@@ -52,9 +52,9 @@ class Table:
     def __init__(self, path: Path, prefix: str, error: Callable[[str], Exception], table: dict[str, Any]):
         self.path, self.prefix, self.error, self.rest = path, prefix, error, dict(table)
 
-    def fail(self, key: str, expected: str, found: object) -> Exception:
+    def fail(self, key: str, expected: str, value: object) -> Exception:
         """The error to raise for a key."""
-        shown = "nothing" if found is None else _shown(found)
+        shown = "nothing" if value is None else _shown(value)
         return self.error(f"{self.path}: {self.prefix}{key}: expected {expected}, found {shown}")
 
     def take(self, key: str, expected: str, kind: type | tuple[type, ...]) -> Any:

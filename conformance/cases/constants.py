@@ -139,24 +139,24 @@ def _hole(width: int) -> Inputs:
 def _own_distance(rng: Generator) -> Inputs:
     """Columns 8 cm apart, so that a footprint is 8 cm; what lies within two footprints is a hole's own sample."""
     apart = 8 * FOOTPRINTS * _pairs(1 - CLOSE, 1 + CLOSE)
-    given = _hole(apart.size)
+    inputs = _hole(apart.size)
     here = np.zeros((1, apart.size, 3))
     here[..., 0] = 8 * np.arange(apart.size)
     there = here.copy()
     there[..., 2] = apart
-    return given | {
-        "color": rng.random(here.shape), "warped": rng.random(here.shape), "stencil_previous": given["stencil"],
-        "position": here, "position_previous": there, "motion": given["motion"] + (0, -0.5),
+    return inputs | {
+        "color": rng.random(here.shape), "warped": rng.random(here.shape), "stencil_previous": inputs["stencil"],
+        "position": here, "position_previous": there, "motion": inputs["motion"] + (0, -0.5),
     }  # fmt: skip
 
 
 def _own_cosine(least: float, stencil: int) -> Callable[[Generator], Inputs]:
     def make(rng: Generator) -> Inputs:
         normals = _lean(_pairs(*(least * (1 + sign * CLOSE) for sign in (-1, 1))))
-        given, size = _hole(normals.shape[1]), (1, normals.shape[1], 3)
-        return given | {
-            "color": rng.random(size), "warped": rng.random(size), "stencil": given["stencil"] + stencil,
-            "stencil_previous": given["stencil"] + stencil, "normal_previous": normals,
+        inputs, size = _hole(normals.shape[1]), (1, normals.shape[1], 3)
+        return inputs | {
+            "color": rng.random(size), "warped": rng.random(size), "stencil": inputs["stencil"] + stencil,
+            "stencil_previous": inputs["stencil"] + stencil, "normal_previous": normals,
         }  # fmt: skip
 
     return make
@@ -165,21 +165,21 @@ def _own_cosine(least: float, stencil: int) -> Callable[[Generator], Inputs]:
 def _like(rng: Generator) -> Inputs:
     """One hole among pixels of several base colours and normals; and beyond the window, of its own."""
     width = 2 * RADIUS + 3
-    given = _hole(width)
-    base_color, normal = given["base_color"].copy(), given["normal"].copy()
+    inputs = _hole(width)
+    base_color, normal = inputs["base_color"].copy(), inputs["normal"].copy()
     base_color[0, 2:6, 1], normal[0, 6:9, 0] = (0.125, 0.25, 0.5, 1), (0.25, 0.5, 1)
     base_color[0, RADIUS + 2 : -2] = 8
-    valid = given["valid"] + 1
+    valid = inputs["valid"] + 1
     valid[0, RADIUS + 1] = 0
-    return given | {"warped": rng.random((1, width, 3)), "valid": valid, "base_color": base_color, "normal": normal}
+    return inputs | {"warped": rng.random((1, width, 3)), "valid": valid, "base_color": base_color, "normal": normal}
 
 
 def _background(rng: Generator) -> Inputs:
     """One hole in a background, beside the edge of a surface."""
-    given = _like(rng)
-    normal = given["normal"] * 0
+    inputs = _like(rng)
+    normal = inputs["normal"] * 0
     normal[0, RADIUS - 3 : RADIUS] = 0, 0, 1
-    return given | {"normal": normal, "base_color": given["base_color"] * 0}
+    return inputs | {"normal": normal, "base_color": inputs["base_color"] * 0}
 
 
 def _materials(rng: Generator) -> tuple[Inputs, Weights]:
@@ -200,22 +200,22 @@ def _window(rng: Generator) -> tuple[Inputs, Weights]:
 def _lit(rng: Generator, keys: NDArray[np.float64], trusted: NDArray[np.float64]) -> tuple[Inputs, Weights]:
     """Stage erm with keys that are 1e-12 times ``keys``."""
     height, width = keys.shape
-    given = dict(made_weights("random", 0))
-    for name, tensor in given.items():
+    weights = dict(made_weights("random", 0))
+    for name, tensor in weights.items():
         if name.startswith("KEncoder"):
-            given[name] = np.zeros_like(tensor)
+            weights[name] = np.zeros_like(tensor)
             if name.endswith("weight"):
-                given[name][0, 0, 1, 1] = 1e-12 if name == "KEncoder.4.weight" else 1
+                weights[name][0, 0, 1, 1] = 1e-12 if name == "KEncoder.4.weight" else 1
     gbuffer = np.zeros((8 * height, 8 * width, 9))
     gbuffer[..., 0] = keys.repeat(8, axis=0).repeat(8, axis=1)
     inputs: Inputs = {"x4": rng.normal(0, 1, (height, width, 32)), "gbuffer": gbuffer}
-    return {**inputs, "mask": trusted.repeat(8, axis=0).repeat(8, axis=1)}, Weights(given)
+    return {**inputs, "mask": trusted.repeat(8, axis=0).repeat(8, axis=1)}, Weights(weights)
 
 
 def _dark(rng: Generator) -> tuple[Inputs, Weights]:
     """Stage frame with colours of either sign."""
-    inputs, given = frame_case((9, 13), rng)
-    return {**inputs, "colors": inputs["colors"] * 2 - 1}, given
+    inputs, weights = frame_case((9, 13), rng)
+    return {**inputs, "colors": inputs["colors"] * 2 - 1}, weights
 
 
 CONSTANTS = (

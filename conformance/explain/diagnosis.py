@@ -66,16 +66,16 @@ def diagnose(judge: Judge, findings: Iterable[Finding]) -> str:
         return ""
     others = [_answered(judge, case, got) for case, got in judge.answered if case.stage == failed[0].case.stage]
     known, end = _shown_by(failed[0].case.stage), process_time() + MOST_SECONDS
-    found: list[tuple[float, Mistake]] = []
+    matches: list[tuple[float, Mistake]] = []
     for tried, mistake in enumerate(known):
-        if process_time() > end or (mistake in RARE and any(each not in RARE for _, each in found)):
-            return _named(found, tried)
+        if process_time() > end or (mistake in RARE and any(each not in RARE for _, each in matches)):
+            return _named(matches, tried)
         distances = [_distance(mistake, failed[0])]
         if distances[0] < np.inf:
             distances += [_distance(mistake, each) for each in [*failed[1:], *others]]
         if max(distances) < np.inf:
-            found.append((distances[0], mistake))
-    return _named(found, len(known))
+            matches.append((distances[0], mistake))
+    return _named(matches, len(known))
 
 
 def _again(judge: Judge, finding: Finding) -> _Answered | None:
@@ -84,10 +84,10 @@ def _again(judge: Judge, finding: Finding) -> _Answered | None:
     if finding.expected is None:
         return None
     try:
-        found = _answered(judge, case, judge.run(case.stage, case.inputs, case.weights))
+        answer = _answered(judge, case, judge.run(case.stage, case.inputs, case.weights))
     except DepartureError:
         return None
-    return found if any(wrong.any() for wrong in found.wrong.values()) else None
+    return answer if any(wrong.any() for wrong in answer.wrong.values()) else None
 
 
 def _answered(judge: Judge, case: Case, got: Outputs) -> _Answered:
@@ -118,23 +118,23 @@ def _distance(mistake: Mistake, answered: _Answered) -> float:
     """
     case = answered.case
     try:
-        made = _port(mistake).run(case.stage, case.inputs, case.weights)
+        answer = _port(mistake).run(case.stage, case.inputs, case.weights)
     except Exception:
         # Planted code on a stranger's case: what it cannot compute, it does not explain.
         return np.inf
     distances = [0.0]
     for name, expected in answered.right.items():
         got, wrong = answered.got[name], answered.wrong[name]
-        if made[name].shape != got.shape:
+        if answer[name].shape != got.shape:
             return np.inf
         allowed: Any = 2 * np.asarray(expected.allowed)
-        theirs = Expected(made[name].astype(np.float64), allowed, vectors=expected.vectors)
-        same = (got == made[name]) | (np.isnan(got) & np.isnan(made[name]))
+        theirs = Expected(answer[name].astype(np.float64), allowed, vectors=expected.vectors)
+        same = (got == answer[name]) | (np.isnan(got) & np.isnan(answer[name]))
         alike = same | (theirs.ratios(got) <= 1)
         with np.errstate(invalid="ignore"):
-            away, off = np.abs(got - made[name].astype(np.float64)), np.abs(got - expected.want)
+            away, off = np.abs(got - answer[name].astype(np.float64)), np.abs(got - expected.want)
             part = np.where(same, 0, away / np.where(off > 0, off, 1))
-        explained = alike & (expected.ratios(made[name]) > 1) & (part <= NEARER)
+        explained = alike & (expected.ratios(answer[name]) > 1) & (part <= NEARER)
         if any(where.any() and shown[where].mean() < ALIKE for where, shown in ((wrong, explained), (~wrong, alike))):
             return np.inf
         if wrong.any():
@@ -142,11 +142,11 @@ def _distance(mistake: Mistake, answered: _Answered) -> float:
     return max(distances)
 
 
-def _named(found: list[tuple[float, Mistake]], tried: int) -> str:
+def _named(matches: list[tuple[float, Mistake]], tried: int) -> str:
     if not tried:
         return "no mistake of this stage is known that it could look like"
-    if not found:
+    if not matches:
         return f"looks like none of the {tried} mistakes that were compared"
-    found.sort(key=lambda each: each[0])
-    near = [mistake for distance, mistake in found if distance <= AS_NEAR * found[0][0]]
+    matches.sort(key=lambda each: each[0])
+    near = [mistake for distance, mistake in matches if distance <= AS_NEAR * matches[0][0]]
     return "looks like: " + "; or ".join(mistake.what for mistake in near[:MOST_NAMED])

@@ -38,14 +38,14 @@ def terms_at_worst(finding: Finding) -> tuple[str, ...]:
     place = tuple(int(i) for i in np.unravel_index(int(expected.ratios(got).argmax()), got.shape))
     y, x = place[:2]
     with np.errstate(all="ignore"):
-        found = [*TERMS[case.stage](inputs, y, x)]
+        terms = [*TERMS[case.stage](inputs, y, x)]
         truth = reference(case.stage, inputs).get(finding.output)
-    found += [("the port gives", _shown(got[y, x])), ("the test expects", _shown(expected.want[y, x]))]
+    terms += [("the port gives", _shown(got[y, x])), ("the test expects", _shown(expected.want[y, x]))]
     if truth is not None and largest(replace(expected, want=truth, allowed=2 * np.asarray(expected.allowed)), expected.want) > 1:
-        found.append(("of this case is right", f"{_shown(truth[y, x])}; the test compares two answers of the port"))
-    width = max(len(name) for name, _ in found)
+        terms.append(("of this case is right", f"{_shown(truth[y, x])}; the test compares two answers of the port"))
+    width = max(len(name) for name, _ in terms)
     head = f"at row {y}, column {x} of {' x '.join(map(str, got.shape[:2]))}, as the reference has it in float64:"
-    return (head, *(f"  {name:{width}}  {text}" for name, text in found))
+    return (head, *(f"  {name:{width}}  {text}" for name, text in terms))
 
 
 def _size(inputs: Inputs) -> tuple[int, int]:
@@ -84,17 +84,17 @@ def _read(image: Float64, at: Place, y: int, x: int) -> list[Term]:
 def _motion_chain(inputs: Inputs, y: int, x: int) -> list[Term]:
     motions = inputs["motions"]
     chained = list(chain_steps(motions))
-    found = [("motion of the newest frame", _shown(motions[0, y, x]))]
+    terms = [("motion of the newest frame", _shown(motions[0, y, x]))]
     for j, earlier in enumerate(motions[1:], start=1):
         at = follow(chained[j - 1])
         row, column = int(truncated(at.y, at.fy)[y, x]), int(truncated(at.x, at.fx)[y, x])
-        found.append((f"step {j}: leads to", _leads_to(at, y, x)))
+        terms.append((f"step {j}: leads to", _leads_to(at, y, x)))
         if at.finite[y, x]:
             four = [_or_zero(earlier, row + i, column + k) for i in (0, 1) for k in (0, 1)]
-            found.append((f"step {j}: motions at rows {row}, {row + 1}", " ".join(map(_shown, four))))
-            found.append((f"step {j}: longest, 0 if one is 0", _shown(gather_longest(earlier, at)[y, x])))
-        found.append((f"step {j}: chained", _shown(chained[j][y, x])))
-    return found
+            terms.append((f"step {j}: motions at rows {row}, {row + 1}", " ".join(map(_shown, four))))
+            terms.append((f"step {j}: longest, 0 if one is 0", _shown(gather_longest(earlier, at)[y, x])))
+        terms.append((f"step {j}: chained", _shown(chained[j][y, x])))
+    return terms
 
 
 def _or_zero(motion: Float64, row: int, column: int) -> Float64:
@@ -167,7 +167,7 @@ def _occlusion_warp(inputs: Inputs, y: int, x: int) -> list[Term]:
     look = taps(at)
     row, column = int(look.y0[y, x]), int(look.x0[y, x])
     instead = splat(motion, depth)[look.y0, look.x0]
-    found = [
+    terms = [
         ("motion", _shown(motion[y, x])),
         ("leads to", _leads_to(at, y, x)),
         ("looks up what was splatted at", f"row {row}, column {column}"),
@@ -176,9 +176,9 @@ def _occlusion_warp(inputs: Inputs, y: int, x: int) -> list[Term]:
         ("valid", _shown(inputs["valid"][y, x])),
     ]
     if inputs["valid"][y, x]:
-        return [*found, ("warped, taken as it is valid", _shown(inputs["warped"][y, x]))]
+        return [*terms, ("warped, taken as it is valid", _shown(inputs["warped"][y, x]))]
     again = follow(instead)
-    return [*found, ("from this pixel that leads to", _leads_to(again, y, x)), *_read(inputs["color"], again, y, x)]
+    return [*terms, ("from this pixel that leads to", _leads_to(again, y, x)), *_read(inputs["color"], again, y, x)]
 
 
 MOST_WRITERS = 4
@@ -197,9 +197,9 @@ def _writers(at: Place, motion: Float64, depth: Float64, row: int, column: int) 
 
 
 def _reshade(inputs: Inputs, y: int, x: int) -> list[Term]:
-    found = [("valid", _shown(inputs["valid"][y, x])), ("warped", _shown(inputs["warped"][y, x]))]
+    terms = [("valid", _shown(inputs["valid"][y, x])), ("warped", _shown(inputs["warped"][y, x]))]
     if inputs["valid"][y, x]:
-        return found
+        return terms
     before, now = ([inputs[f"{name}{when}"] for name in ("stencil", "normal", "position")] for when in ("_previous", ""))
     pixel = np.array([y]), np.array([x])
     for there, row, column in four_samples(inputs["motion"], *pixel):
@@ -207,8 +207,8 @@ def _reshade(inputs: Inputs, y: int, x: int) -> list[Term]:
             continue
         own = shows_surface((before[0], before[1], before[2]), (now[0], now[1], now[2]), (row, column), pixel)[0]
         what = "its own surface" if own else "another surface"
-        found.append((f"row {row[0]}, column {column[0]}: {what}", _shown(inputs["color"][row[0], column[0]])))
-    return [*found, ("motion", _shown(inputs["motion"][y, x])), ("base colour", _shown(inputs["base_color"][y, x]))]
+        terms.append((f"row {row[0]}, column {column[0]}: {what}", _shown(inputs["color"][row[0], column[0]])))
+    return [*terms, ("motion", _shown(inputs["motion"][y, x])), ("base colour", _shown(inputs["base_color"][y, x]))]
 
 
 def _rrm(inputs: Inputs, y: int, x: int) -> list[Term]:

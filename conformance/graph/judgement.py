@@ -27,7 +27,7 @@ class Judgement:
     Attributes:
         tensor: its name.
         node: what computes it.
-        given: the node's inputs: the port's own where it handed them over.
+        operands: the node's inputs: the port's own where it handed them over.
         got: the port's numbers.
         right: the right ones, with the most by which the port's may be off.
         ratio: largest error / bound.
@@ -37,7 +37,7 @@ class Judgement:
 
     tensor: str
     node: Node
-    given: tuple[AnyArray | None, ...]
+    operands: tuple[AnyArray | None, ...]
     got: AnyArray
     right: Result
     ratio: float
@@ -75,30 +75,30 @@ def judge(model: Model, inputs: Arrays, got: Arrays, rounding: Rounding, runs: i
     values: dict[str, AnyArray] = {**model.constants, **{name: widen(array) for name, array in inputs.items()}}
     moved: list[dict[str, AnyArray]] = [{} for _ in range(runs)]
     random = np.random.default_rng(0)
-    found: list[Judgement] = []
+    judgements: list[Judgement] = []
     for node in model.nodes:
-        given = _given(node, values)
-        made = None if given is None else compute(node, given, rounding)
-        if given is None or made is None:
+        operands = operands_of(node, values)
+        results = None if operands is None else compute(node, operands, rounding)
+        if operands is None or results is None:
             continue
         derived = any(name in run for run in moved[:1] for name in node.inputs)
         if derived or any(name not in got for name in node.outputs):
             for run in moved:
-                off = [run.get(name, each) for name, each in zip(node.inputs, given, strict=True)]
-                changed = (compute(node, off, rounding) if derived else made) or ()
+                off = [run.get(name, each) for name, each in zip(node.inputs, operands, strict=True)]
+                changed = (compute(node, off, rounding) if derived else results) or ()
                 run |= {name: _change(each, random) for name, each in zip(node.outputs, changed, strict=False)}
-        for name, right in zip(node.outputs, made, strict=False):
+        for name, right in zip(node.outputs, results, strict=False):
             values[name] = right.x
             # Integers are sizes and places, constants are the model's: a wrong one shows in what is made of it.
             computes = right.x.dtype.kind == "f" and right.x.size and node.op != "Constant"
             if name in got and (computes or name in model.outputs):
                 allowed = right if not derived else Result(right.x, right.e + _spread([run[name] - right.x for run in moved]))
-                found.append(compare(name, node, given, got[name], allowed, is_own=not derived))
+                judgements.append(compare(name, node, operands, got[name], allowed, is_own=not derived))
                 if np.isfinite(got[name]).all():
-                    values[name] = found[-1].got
+                    values[name] = judgements[-1].got
                     for run in moved:
                         run.pop(name, None)
-    return found
+    return judgements
 
 
 def _change(result: Result, random: np.random.Generator) -> AnyArray:
@@ -108,23 +108,23 @@ def _change(result: Result, random: np.random.Generator) -> AnyArray:
     return result.x + result.errors / np.sqrt(result.terms) * random.uniform(-1, 1, result.x.shape)
 
 
-def _given(node: Node, values: Mapping[str, AnyArray]) -> list[AnyArray | None] | None:
+def operands_of(node: Node, values: Mapping[str, AnyArray]) -> list[AnyArray | None] | None:
     """A node's inputs; None where it reads what cannot be computed."""
     if any(name and name not in values for name in node.inputs):
         return None
     return [values[name] if name else None for name in node.inputs]
 
 
-def compute(node: Node, given: Sequence[AnyArray | None], rounding: Rounding) -> tuple[Result, ...] | None:
+def compute(node: Node, operands: Sequence[AnyArray | None], rounding: Rounding) -> tuple[Result, ...] | None:
     """The results of a node; None where its attributes are not known."""
     try:
         with np.errstate(all="ignore"):
-            made = OPERATORS[node.op](rounding, node, *given)
+            results = OPERATORS[node.op](rounding, node, *operands)
     except UnsupportedError:
         return None
     except (ValueError, IndexError, TypeError) as error:
         raise SizeError(f"{node.op} of {node.outputs[0]}: {error}") from error
-    return made if isinstance(made, tuple) else (made,)
+    return results if isinstance(results, tuple) else (results,)
 
 
 def _spread(moved: Sequence[AnyArray]) -> float:
@@ -134,7 +134,7 @@ def _spread(moved: Sequence[AnyArray]) -> float:
 
 
 def compare(
-    name: str, node: Node, given: Sequence[AnyArray | None], got: AnyArray, right: Result, *, is_own: bool = True
+    name: str, node: Node, operands: Sequence[AnyArray | None], got: AnyArray, right: Result, *, is_own: bool = True
 ) -> Judgement:
     """Judge one tensor; ShapeError where its shape is another."""
     if got.shape != right.x.shape:
@@ -143,7 +143,7 @@ def compare(
     error = np.abs(wide.astype(np.float64) - right.x)
     typical, limit = (float(np.sqrt(np.mean(a * a))) if a.size else 0.0 for a in (error, allowed))
     share = 0.0 if typical == 0 else typical / limit if limit and np.isfinite(typical) else np.inf
-    return Judgement(name, node, tuple(given), wide, right, worst(error, allowed), share, is_own)
+    return Judgement(name, node, tuple(operands), wide, right, worst(error, allowed), share, is_own)
 
 
 def find_unsupported(model: Model, inputs: Arrays, rounding: Rounding) -> list[str]:
@@ -151,16 +151,16 @@ def find_unsupported(model: Model, inputs: Arrays, rounding: Rounding) -> list[s
     values: dict[str, AnyArray] = {**model.constants, **{name: widen(array) for name, array in inputs.items()}}
     said: list[str] = []
     for node in model.nodes:
-        given = _given(node, values)
-        if given is None:
+        operands = operands_of(node, values)
+        if operands is None:
             continue
         try:
-            OPERATORS[node.op](rounding, node, *given)
+            OPERATORS[node.op](rounding, node, *operands)
         except UnsupportedError as error:
             said.append(f"{node.outputs[0]} ({node.op}): {error}")
         except (ValueError, IndexError, TypeError):
             return said  # these sizes do not suit the model
-        for name, each in zip(node.outputs, compute(node, given, rounding) or (), strict=False):
+        for name, each in zip(node.outputs, compute(node, operands, rounding) or (), strict=False):
             values[name] = each.x
     return said
 
@@ -194,13 +194,13 @@ def explain_precision(judged: Judgement, rounding: Rounding) -> str:
 
     Only where the port handed over all that the node reads.
     """
-    node, given = judged.node, judged.given
+    node, operands = judged.node, judged.operands
 
     def fits(some: Sequence[AnyArray | None], wider: float, how: Rounding) -> bool:
-        made = compute(node, some, how)
-        assert made is not None
-        right = made[node.outputs.index(judged.tensor)]
-        return compare(judged.tensor, node, given, judged.got, Result(right.x, right.e + wider * np.abs(right.x))).ratio <= 1
+        results = compute(node, some, how)
+        assert results is not None
+        right = results[node.outputs.index(judged.tensor)]
+        return compare(judged.tensor, node, operands, judged.got, Result(right.x, right.e + wider * np.abs(right.x))).ratio <= 1
 
     if not judged.is_own:
         return ""
@@ -209,21 +209,24 @@ def explain_precision(judged: Judgement, rounding: Rounding) -> str:
 
 def _explanations(judged: Judgement, fits: Fits, rounding: Rounding) -> Iterator[tuple[str, bool]]:
     """Precisions, the finest and most certain first, and whether each explains the tensor."""
-    node, given = judged.node, judged.given
+    node, operands = judged.node, judged.operands
     sums = node.op in SUMS
     for name, unit in COARSE.items():
-        rounded = [*(v if v is None or v.dtype.kind != "f" else round_to(v, unit) for v in given[:2]), *given[2:]]
+        rounded = [*(v if v is None or v.dtype.kind != "f" else round_to(v, unit) for v in operands[:2]), *operands[2:]]
         yield f"{name}: operands rounded, sums in float32", sums and fits(rounded, 0.0, rounding)
         yield f"{name}: operands and result rounded, sums in float32", sums and fits(rounded, 2 * unit, rounding)
-        yield f"{name}: the result rounded", fits(given, 2 * unit, rounding)
-    yield "a fast exponential", node.op in EXPONENTIALS and fits(given, FAST, rounding)
+        yield f"{name}: the result rounded", fits(operands, 2 * unit, rounding)
+    yield "a fast exponential", node.op in EXPONENTIALS and fits(operands, FAST, rounding)
     for name, dtype in (("half or TF32", "float16"), ("bfloat16", "bfloat16")):
-        made = compute(node, given, Rounding(replace(rounding.arithmetic, dtype=dtype)))
-        if sums and made is not None:
+        results = compute(node, operands, Rounding(replace(rounding.arithmetic, dtype=dtype)))
+        if sums and results is not None:
             # Three roundings of each product: of both operands, whatever was folded into the weights, and of the result.
-            wide = Result(made[0].x, made[0].errors * 3 / made[0].terms)
-            yield f"{name}: errors of the size of its roundings", compare(judged.tensor, node, given, judged.got, wide).ratio <= 1
-    yield "sums in half", sums and fits(given, 0.0, Rounding(replace(rounding.arithmetic, dtype="float16")))
+            wide = Result(results[0].x, results[0].errors * 3 / results[0].terms)
+            yield (
+                f"{name}: errors of the size of its roundings",
+                compare(judged.tensor, node, operands, judged.got, wide).ratio <= 1,
+            )
+    yield "sums in half", sums and fits(operands, 0.0, Rounding(replace(rounding.arithmetic, dtype="float16")))
 
 
 FUSED = (1, 2, 4, 8)
@@ -254,10 +257,10 @@ def is_fused(model: Model, inputs: Arrays, got: Arrays, judged: Judgement, round
 def describe_terms(judged: Judgement, most: int = 3) -> str:
     """The worst number with the terms that it was made of."""
     at, node = judged.at, judged.node
-    x, w = (*judged.given, None, None)[:2]
+    x, w = (*judged.operands, None, None)[:2]
     said = f"at {at}: got {judged.got[at]:.9g}, expected {judged.right.x[at]:.9g}, allowed {judged.right.errors[at]:.3g}"
     if x is None or w is None or node.op not in SUMS:
-        here = [f"{v[at]:.6g}" for v in judged.given if v is not None and v.shape == judged.right.x.shape]
+        here = [f"{v[at]:.6g}" for v in judged.operands if v is not None and v.shape == judged.right.x.shape]
         return f"{said}; of {', '.join(here)}" if here else said
     terms = _terms(node, x, w, at)
     if terms is None:
@@ -279,6 +282,6 @@ def _terms(node: Node, x: AnyArray, w: AnyArray, at: tuple[int, ...]) -> AnyArra
         each, first = w.shape[1], at[1] // (w.shape[0] // groups) * w.shape[1]
         window = window_of(node, x.shape[2:], w.shape[2:])
         padded = window.pad(x[at[0] : at[0] + 1, first : first + each])
-        found = [there[(0, slice(None), *at[2:])] * w[(at[1], slice(None), *tap)] for tap, there in window.taps(padded)]
-        return np.concatenate(found)
+        products = [there[(0, slice(None), *at[2:])] * w[(at[1], slice(None), *tap)] for tap, there in window.taps(padded)]
+        return np.concatenate(products)
     return None

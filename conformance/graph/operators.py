@@ -59,8 +59,8 @@ def _whole(value: AnyArray | None) -> list[int] | None:
 
 def _axes(node: Node, value: AnyArray | None, rank: int) -> tuple[int, ...]:
     """Axes, by attribute in old opsets and by input in new ones; none: all."""
-    found = node.get("axes") if value is None else _whole(value)
-    return tuple(range(rank)) if not found else tuple(int(axis) % rank for axis in found)
+    axes = node.get("axes") if value is None else _whole(value)
+    return tuple(range(rank)) if not axes else tuple(int(axis) % rank for axis in axes)
 
 
 # Sums of products
@@ -70,20 +70,20 @@ def _axes(node: Node, value: AnyArray | None, rank: int) -> tuple[int, ...]:
 def _conv(r: Rounding, node: Node, x: AnyArray, w: AnyArray, b: AnyArray | None = None) -> Result:
     window = window_of(node, x.shape[2:], w.shape[2:])
     groups, terms = node.get("group", 1), math.prod(w.shape[1:]) + 2
-    made = r.products(lambda a, k: window.convolve(a, k, groups), x, w, terms)
+    result = r.products(lambda a, k: window.convolve(a, k, groups), x, w, terms)
     if r.arithmetic.winograd and w.ndim == 4 and min(w.shape[2:]) > 1 and max(window.strides + window.dilations) == 1:
         # Winograd mixes the taps of a window, so that each tap bears the others' rounding errors.
         mixed = np.broadcast_to(np.abs(w).max(axis=(2, 3), keepdims=True), w.shape)
         widen = r.gamma(BOUNDS["layer.winograd"].roundings * terms)
-        made = Result(made.x, made.e + widen * window.convolve(np.abs(x), mixed, groups), terms)
-    return _add_bias(r, made, b)
+        result = Result(result.x, result.e + widen * window.convolve(np.abs(x), mixed, groups), terms)
+    return _add_bias(r, result, b)
 
 
-def _add_bias(r: Rounding, made: Result, b: AnyArray | None) -> Result:
+def _add_bias(r: Rounding, result: Result, b: AnyArray | None) -> Result:
     if b is None:
-        return made
-    x = made.x + b.reshape(-1, *[1] * (made.x.ndim - 2))
-    return Result(x, made.e + r.unit * (np.abs(x) + made.e), made.terms)
+        return result
+    x = result.x + b.reshape(-1, *[1] * (result.x.ndim - 2))
+    return Result(x, result.e + r.unit * (np.abs(x) + result.e), result.terms)
 
 
 def window_of(node: Node, size: Sequence[int], kernel: Sequence[int]) -> Window:
@@ -265,8 +265,8 @@ def _reduce_over(r: Rounding, kind: str, x: AnyArray, over: tuple[int, ...], *, 
         return r.lose(np.sqrt(total(x * x)), n / 2 + 1 + BOUNDS["graph.division"].roundings)
     if kind in ("L1", "SumSquare"):
         return r.lose(total(np.abs(x) if kind == "L1" else x * x), n + 1)
-    made = r.sums(total, x, n)
-    return made if kind == "Sum" else Result(made.x / n, made.e / n + 2 * r.unit * np.abs(made.x / n))
+    result = r.sums(total, x, n)
+    return result if kind == "Sum" else Result(result.x / n, result.e / n + 2 * r.unit * np.abs(result.x / n))
 
 
 @_operator("GlobalAveragePool", "GlobalMaxPool")
@@ -295,8 +295,8 @@ def _average_pool(r: Rounding, node: Node, x: AnyArray) -> Result:
         if node.get("count_include_pad", 0)
         else total(ones)
     )
-    made = r.sums(total, x, math.prod(window.kernel))
-    return Result(made.x / number, made.e / number + 2 * r.unit * np.abs(made.x / number))
+    result = r.sums(total, x, math.prod(window.kernel))
+    return Result(result.x / number, result.e / number + 2 * r.unit * np.abs(result.x / number))
 
 
 @_operator("Resize")
@@ -315,47 +315,47 @@ def _resize(
         raise UnsupportedError(f"mode {mode}, coordinate_transformation_mode {transform}, antialias {antialias}")
     if node.get("keep_aspect_ratio_policy", "stretch") != "stretch":
         raise UnsupportedError("keep_aspect_ratio_policy")
-    given = _whole(sizes)
-    made = Result(x)
+    lengths = _whole(sizes)
+    result = Result(x)
     for i, axis in enumerate(node.get("axes") or range(x.ndim)):
         before = x.shape[axis]
-        scale = given[i] / before if given else float(np.atleast_1d(scales)[i]) if scales is not None else 1.0
-        after = given[i] if given else math.floor(before * scale)
+        scale = lengths[i] / before if lengths else float(np.atleast_1d(scales)[i]) if scales is not None else 1.0
+        after = lengths[i] if lengths else math.floor(before * scale)
         if after != before or scale != 1:
             at = coordinates(transform, after, before, scale)
-            made = (
-                _pick(r, made, axis, at, node.get("nearest_mode", "round_prefer_floor"))
+            result = (
+                _pick(r, result, axis, at, node.get("nearest_mode", "round_prefer_floor"))
                 if mode == "nearest"
-                else _lerp(r, made, axis, at)
+                else _lerp(r, result, axis, at)
             )
-    return made
+    return result
 
 
-def _pick(r: Rounding, made: Result, axis: int, at: AnyArray, mode: str) -> Result:
+def _pick(r: Rounding, result: Result, axis: int, at: AnyArray, mode: str) -> Result:
     """The nearest numbers; where rounding a coordinate decides, either neighbour is right."""
     off = np.where(at % 0.5 != 0, BOUNDS["graph.coordinate"].roundings * r.unit * (np.abs(at) + 1), 0)
-    last = made.x.shape[axis] - 1
+    last = result.x.shape[axis] - 1
     chosen, low, high = (np.clip(nearest(place, mode), 0, last).astype(int) for place in (at, at - off, at + off))
-    x = np.take(made.x, chosen, axis)
-    unsure = np.maximum(*(np.abs(np.take(made.x, other, axis) - x) for other in (low, high)))
-    return Result(x, np.take(made.errors, chosen, axis) + unsure)
+    x = np.take(result.x, chosen, axis)
+    unsure = np.maximum(*(np.abs(np.take(result.x, other, axis) - x) for other in (low, high)))
+    return Result(x, np.take(result.errors, chosen, axis) + unsure)
 
 
-def _lerp(r: Rounding, made: Result, axis: int, at: AnyArray) -> Result:
-    last = made.x.shape[axis] - 1
+def _lerp(r: Rounding, result: Result, axis: int, at: AnyArray) -> Result:
+    last = result.x.shape[axis] - 1
     place = np.clip(at, 0, last)
     low = np.minimum(np.floor(place).astype(int), max(last - 1, 0))
-    shape = [-1 if i == axis else 1 for i in range(made.x.ndim)]
+    shape = [-1 if i == axis else 1 for i in range(result.x.ndim)]
     t = (place - low).reshape(shape)
 
     def apply(a: AnyArray) -> AnyArray:
         return np.take(a, low, axis) * (1 - t) + np.take(a, np.minimum(low + 1, last), axis) * t
 
     off = (BOUNDS["graph.coordinate"].roundings * r.unit * (np.abs(at) + 1)).reshape(shape)
-    taps = [np.take(made.x, np.clip(low + i, 0, last), axis) for i in (-1, 0, 1, 2)]
+    taps = [np.take(result.x, np.clip(low + i, 0, last), axis) for i in (-1, 0, 1, 2)]
     steep = np.max([np.abs(b - a) for a, b in pairwise(taps)], axis=0)
-    blended = r.sums(apply, made.x, BOUNDS["graph.lerp"].roundings)
-    return Result(blended.x, blended.e + off * steep + apply(made.errors))
+    blended = r.sums(apply, result.x, BOUNDS["graph.lerp"].roundings)
+    return Result(blended.x, blended.e + off * steep + apply(result.errors))
 
 
 # Numbers in other places

@@ -259,12 +259,12 @@ def _check(model: Model, port: GraphPort, rounding: Rounding, inputs: dict[str, 
         raise DepartureError(Finding(said, case, departs.tensor, departs.got, right, (*more, where)))
 
 
-def _require_numbers(model: Model, given: Mapping[str, Any]) -> None:
+def _require_numbers(model: Model, sizes: Mapping[str, Any]) -> None:
     """Raise PortError unless the model's tensors among ``given`` are arrays of numbers; bfloat16 is a type of a package of its own."""
-    for name in (name for name in model.tensors if name in given):
-        dtype = getattr(given[name], "dtype", None)
-        if not isinstance(given[name], np.ndarray) or (given[name].dtype.kind not in "biuf" and str(dtype) != "bfloat16"):
-            raise PortError(f"{name}: expected an array of numbers, got {dtype or type(given[name]).__name__}")
+    for name in (name for name in model.tensors if name in sizes):
+        dtype = getattr(sizes[name], "dtype", None)
+        if not isinstance(sizes[name], np.ndarray) or (sizes[name].dtype.kind not in "biuf" and str(dtype) != "bfloat16"):
+            raise PortError(f"{name}: expected an array of numbers, got {dtype or type(sizes[name]).__name__}")
 
 
 def _lines(wrong: Judgement, rows: Sequence[Judgement], ends: Sequence[Judgement], rounding: Rounding) -> list[str]:

@@ -249,21 +249,21 @@ class Judge:
 
     def make_case(self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights | None = None) -> Case:
         """The case that the port gets for these inputs."""
-        return Case(stage, self._rounded_once(inputs, stage), None if weights is None else self._given_weights(weights))
+        return Case(stage, self._rounded_once(inputs, stage), None if weights is None else self._weights_of(weights))
 
-    def _given_weights(self, weights: Weights) -> Weights:
+    def _weights_of(self, weights: Weights) -> Weights:
         """The weights as the port gets them, the same object for the same weights, so that a job has them once."""
         if id(weights) not in self._weights:
             if len(self._weights) == MOST_WEIGHTS:
                 self._weights.clear()
-            given = weights.convert(self.arithmetic.normal)
+            converted = weights.convert(self.arithmetic.normal)
             for version, known in (
                 (5, {"hole_fill": "occlusion_warp"}),
                 (4, {"second_color": "newest"}),
                 (3, {"hole_test": "footprint"}),
             ):
-                given = replace(given, **known) if self.weights_version < version else given
-            self._weights[id(weights)] = weights, shuffled(given)
+                converted = replace(converted, **known) if self.weights_version < version else converted
+            self._weights[id(weights)] = weights, shuffled(converted)
         return self._weights[id(weights)][1]
 
     def round_inputs(self, arrays: Arrays, stage: str = "") -> dict[str, NDArray[Any]]:
@@ -284,15 +284,15 @@ class Judge:
 
     def exactly(self, arrays: Arrays, stage: str) -> dict[str, NDArray[Any]]:
         """The numbers of ``round_inputs`` in float64, for the reference."""
-        given = self._rounded_once(arrays, stage)
-        return {name: array.astype(np.float64) if array.dtype.kind == "f" else array for name, array in given.items()}
+        rounded = self._rounded_once(arrays, stage)
+        return {name: array.astype(np.float64) if array.dtype.kind == "f" else array for name, array in rounded.items()}
 
     def right(
         self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights | None = None, got: Outputs | None = None
     ) -> dict[str, Expected]:
         """The right answers for these inputs, by output: see ``conformance.answers.by_stage.expect``."""
-        given = None if weights is None else self._given_weights(weights)
-        return expect(stage, self.exactly(inputs, stage), given, self.arithmetic, got or {})
+        known = None if weights is None else self._weights_of(weights)
+        return expect(stage, self.exactly(inputs, stage), known, self.arithmetic, got or {})
 
     def agrees(self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights | None = None) -> Talk:
         """Ask the port, and raise DepartureError unless every output is within its bound of the float64 reference."""
@@ -319,7 +319,7 @@ class Judge:
             yield from self.agrees(stage, inputs, weights)
             return
         outputs = yield ask(stage, inputs, weights)
-        for name, want in reference(stage, self.exactly(inputs, stage), self._given_weights(weights)).items():
+        for name, want in reference(stage, self.exactly(inputs, stage), self._weights_of(weights)).items():
             self.same(f"{stage}.{name}", outputs[name], want)
 
     def rounds_either_way(
@@ -327,20 +327,20 @@ class Judge:
     ) -> Talk:
         """Compare all errors of an output with those of sums that round either way; the sums' terms, of ``layer``, have one sign."""
         got = (yield ask(stage, inputs, weights))[output]
-        want = reference(stage, self.exactly(inputs, stage), self._given_weights(weights))[output]
+        want = reference(stage, self.exactly(inputs, stage), self._weights_of(weights))[output]
         sums = want != 0
         terms = int(np.prod(weights[f"{layer}.weight"].shape[1:]))
-        found = rounding(got[sums], want[sums], terms, self.arithmetic)
-        self.holds(f"{stage}.rounding", found, expected_rounding(self.arithmetic))
+        imbalance = rounding(got[sums], want[sums], terms, self.arithmetic)
+        self.holds(f"{stage}.rounding", imbalance, expected_rounding(self.arithmetic))
 
     def agrees_in_windows(self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights | None = None) -> Talk:
         """Ask for a large frame, and compare a few windows of it; a wrong one is not compared with mistakes, which takes long."""
         outputs = yield ask(stage, inputs, weights)
-        exact, given = self.exactly(inputs, stage), None if weights is None else self._given_weights(weights)
+        exact, known = self.exactly(inputs, stage), None if weights is None else self._weights_of(weights)
         computed = "network" if stage == "frame" else stage
-        if stage == "frame" and given is not None:
-            exact = network_inputs(exact, given)
-        for window in expect_windows(computed, exact, given, self.arithmetic, outputs):
+        if stage == "frame" and known is not None:
+            exact = network_inputs(exact, known)
+        for window in expect_windows(computed, exact, known, self.arithmetic, outputs):
             for name, (place, right) in window.outputs.items():
                 try:
                     self.holds(f"{stage}.{name}", outputs[name][place], right)
@@ -358,8 +358,8 @@ class Judge:
         self.record.undecided += expected.undecided
         closer = expected.closer(got)
         worst = largest(closer, got)
-        found = {output: largest(expected, got), **({f"{output}{RMS}": expected.together(got)} if expected.rms < np.inf else {})}
-        for name, ratio in found.items():
+        ratios = {output: largest(expected, got), **({f"{output}{RMS}": expected.together(got)} if expected.rms < np.inf else {})}
+        for name, ratio in ratios.items():
             self.record.worst[name] = max(ratio, self.record.worst.get(name, 0.0))
         if worst > 1:
             message = said(output, got, closer, worst)
@@ -368,7 +368,7 @@ class Judge:
                     f"{output}: rms of the errors {expected.together(got):.3g} of its limit, each within its own bound; {message}"
                 )
             raise WrongError(message, output.rsplit(".", maxsplit=1)[-1], got, closer)
-        for name, ratio in found.items():
+        for name, ratio in ratios.items():
             self.near[name] = max(ratio, self.near.get(name, 0.0))
 
 

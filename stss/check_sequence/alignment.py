@@ -33,23 +33,23 @@ OTHERWISE = (
 
 def alignment_lines(frames: Iterable[Buffers], *, linear: bool) -> list[Line]:
     """Findings about frames that have a colour, one in memory at a time; ``linear``: as the profile has it."""
-    found: list[Array] = []
+    ratios: list[Array] = []
     steps: list[Array] = []
     bright = False
     for frame in frames:
         if frame.color is not None:
             bright |= bool((frame.color > 1).any())
-            found.append(_correlations(frame))
+            ratios.append(_correlations(frame))
             steps.append(_steps(frame))
-    if not found:
+    if not ratios:
         return []
-    if edges := _shown(found):
+    if edges := _shown(ratios):
         return edges  # edges that are not its own say nothing of its light
     return [] if linear and bright else _encoded(np.concatenate(steps), linear=linear)  # a display shows nothing above 1
 
 
-def _shown(found: list[Array]) -> list[Line]:
-    own, *others = np.mean(found, axis=0)
+def _shown(ratios: list[Array]) -> list[Line]:
+    own, *others = np.mean(ratios, axis=0)
     best = int(np.argmax(others))
     if not others[best] > own + CLEARLY:
         return []
@@ -73,13 +73,13 @@ def _steps(frame: Buffers) -> Array:
     assert frame.color is not None
     color, base = (np.log(np.maximum(np.nan_to_num(of).mean(axis=-1), DARK)) for of in (frame.color, frame.base_color))
     hit, normal = np.isfinite(frame.depth) & (frame.normal != 0).any(axis=-1), np.nan_to_num(frame.normal)
-    found: list[Array] = []
+    steps: list[Array] = []
     for axis in (0, 1):
         flat = np.abs(np.diff(normal, axis=axis)).max(axis=-1, initial=0) < SAME
         both = hit[1:] & hit[:-1] if axis == 0 else hit[:, 1:] & hit[:, :-1]
         used = flat & both & (np.abs(np.diff(base, axis=axis)) > PATTERN)
-        found.append(np.diff(color, axis=axis)[used] / np.diff(base, axis=axis)[used])
-    return np.concatenate(found)
+        steps.append(np.diff(color, axis=axis)[used] / np.diff(base, axis=axis)[used])
+    return np.concatenate(steps)
 
 
 def _correlations(frame: Buffers) -> Array:

@@ -234,8 +234,8 @@ def _every_color(sequence: Sequence, numbers: list[int]) -> CheckFinding:
 def _samples(sequence: Sequence, number: int) -> int:
     """Samples a pixel by the metadata of Cycles; 0 where there is none."""
     attributes = read_header(sequence.frames[number].sources["color"].path).attributes
-    found = [str(value) for name, value in attributes.items() if re.fullmatch(r"cycles\..*\.samples", name)]
-    return int(found[0]) if found and found[0].isdecimal() and len(found[0]) < 10 else 0
+    counts = [str(value) for name, value in attributes.items() if re.fullmatch(r"cycles\..*\.samples", name)]
+    return int(counts[0]) if counts and counts[0].isdecimal() and len(counts[0]) < 10 else 0
 
 
 def _listed(numbers: Iterable[int], count: int) -> str:

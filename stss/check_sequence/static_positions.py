@@ -185,7 +185,7 @@ class StaticGeometry:
 
 def judge_static_geometry(pairs: Iterable[tuple[Buffers, Buffers]]) -> StaticGeometry:
     """Look at pairs of neighbouring frames (t - 1, t), one in memory at a time."""
-    found: list[tuple[Array, ...]] = []
+    samples: list[tuple[Array, ...]] = []
     single: list[tuple[float, float, float, float, float]] = []
     against: list[tuple[float, float]] = []
     within: list[tuple[float, float]] = []
@@ -213,14 +213,14 @@ def judge_static_geometry(pairs: Iterable[tuple[Buffers, Buffers]]) -> StaticGeo
         relative &= all(_at_origin(*of) for of in ((earlier, before), (current, now)))
         mirrored, here = current.mirrored, np.argwhere(static)[kept, ::-1]
         stored = [motion[static].astype(np.float64)[kept] for motion in (now.motion, np.nan_to_num(now.motion[::-1]))]
-        found.append((there[kept] - here, *stored))
+        samples.append((there[kept] - here, *stored))
         if (shift := common_shift(there[kept] - here - stored[0])) is not None:
             against.append(shift)
         surfaces = before.stencil, now.stencil, before.normal, now.normal, before.position, now.position
         valid, inside = holes(now.motion, *surfaces, now.nov, now.depth), leads_inside(follow(now.motion))
         share = static_holes(np.where(inside, now.stencil, 1), now.normal, valid) or 0.0
         single.append((max(earlier.residual, current.residual), _depth(now, current), *_normals(now), share))
-    positions = _verdict(found, single, size, mirrored=mirrored, relative=relative) if found else None
+    positions = _verdict(samples, single, size, mirrored=mirrored, relative=relative) if samples else None
     background = None
     if sky:
         share, turns, error, largest = np.median(sky, axis=0)
@@ -250,14 +250,14 @@ def _background(expected: Image, now: Buffers) -> list[tuple[float, float, float
 
 
 def _verdict(
-    found: list[tuple[Array, ...]],
+    samples: list[tuple[Array, ...]],
     single: list[tuple[float, float, float, float, float]],
     size: tuple[int, int],
     *,
     mirrored: bool | None,
     relative: bool,
 ) -> StaticVerdict:
-    true, stored, reversed_rows = (np.concatenate(of) for of in zip(*found, strict=True))
+    true, stored, reversed_rows = (np.concatenate(of) for of in zip(*samples, strict=True))
     residual, depth, along, turned, share = (float(np.median(of)) for of in zip(*single, strict=True))
     errors = {what: _error(true, guess) for what, guess in _guesses(stored, reversed_rows, size, mirrored=mirrored).items()}
     own, best = errors.pop(""), min(errors, key=lambda what: errors[what])

@@ -83,35 +83,35 @@ def rows(*, again: bool = False, tell: Tell = lambda line: None) -> list[Row]:
     Raises:
         DeviceError: there is no device.
     """
-    found = [_row(n, h, verdict(n, h, again=again, tell=tell)) for n, h in name_devices().items()]
-    if not found:
+    entries = [_row(n, h, verdict(n, h, again=again, tell=tell)) for n, h in name_devices().items()]
+    if not entries:
         raise DeviceError(no_device())
-    return sorted(found, key=lambda row: (row.kind != "GPU", not row.verdict.passed, -row.verdict.gflops))
+    return sorted(entries, key=lambda row: (row.kind != "GPU", not row.verdict.passed, -row.verdict.gflops))
 
 
-def to_json(found: list[Row]) -> str:
+def to_json(entries: list[Row]) -> str:
     """A list of objects, one for each device."""
-    return json.dumps([asdict(row) for row in found], indent=2)
+    return json.dumps([asdict(row) for row in entries], indent=2)
 
 
-def print_rows(found: list[Row], console: Console) -> None:
+def print_rows(entries: list[Row], console: Console) -> None:
     """Print a table, and the remarks; names are never cut off, since ``--device`` takes them."""
     table = Table(box=None, pad_edge=False)
     table.add_column("device", overflow="fold")
     for title in ("kind", "driver", "compiled for", "memory", "fp16", "bfloat16", "self-test"):
         table.add_column(title, overflow="fold", justify="right" if title == "memory" else "left")
-    for row in found:
+    for row in entries:
         speed = f" ({row.verdict.gflops:.0f} GFLOP/s)" if row.verdict.passed else ""
         memory = f"{row.memory / 2**30:.1f} GiB"
         fp16 = "yes" if row.fp16 else "no"
         table.add_row(row.name, row.kind, row.driver, row.target or "-", memory, fp16, row.bfloat16, f"{row.verdict}{speed}")
     console.print(table, markup=False, highlight=False)
-    for row in found:
+    for row in entries:
         if row.remark:
             console.print(row.remark, soft_wrap=True, markup=False, highlight=False)
 
 
-def _row(name: str, handle: cl.Device, found: Verdict) -> Row:
+def _row(name: str, handle: cl.Device, outcome: Verdict) -> Row:
     device = Properties(handle)
     return Row(
         name=name,
@@ -129,5 +129,5 @@ def _row(name: str, handle: cl.Device, found: Verdict) -> Row:
             if device.kind == "CPU" and device.target in AVX2 and "avx512f" in cpu_flags()
             else ""
         ),
-        verdict=found,
+        verdict=outcome,
     )

@@ -188,10 +188,10 @@ def _display(spec: oiio.ImageSpec) -> PixelWindow:
 def _check(path: Path, spec: oiio.ImageSpec, display: PixelWindow) -> None:
     sides = spec.width, spec.height, spec.full_width, spec.full_height
     if not (all(1 <= side <= MAX_SIDE for side in sides) and 1 <= spec.nchannels <= MAX_CHANNELS):
-        found = f"{spec.width} x {spec.height}, {spec.nchannels} channels"
+        size = f"{spec.width} x {spec.height}, {spec.nchannels} channels"
         if sides[2:] != sides[:2]:
-            found += f", display window {_display(spec)}"
-        raise InputError(f"{path}: {found}; expected 1 to {MAX_SIDE} pixels a side, 1 to {MAX_CHANNELS} channels")
+            size += f", display window {_display(spec)}"
+        raise InputError(f"{path}: {size}; expected 1 to {MAX_SIDE} pixels a side, 1 to {MAX_CHANNELS} channels")
     if spec.deep:
         raise InputError(f"{path}: deep image; expected flat channels")
     if spec.depth != 1 or spec.full_depth != 1:
@@ -208,7 +208,7 @@ def _names(path: Path, spec: oiio.ImageSpec) -> tuple[str, ...]:
 
 
 def _attributes(spec: oiio.ImageSpec) -> dict[str, Value]:
-    found: dict[str, Value] = {}
+    values: dict[str, Value] = {}
     for i in range(len(spec.extra_attribs)):
         try:
             item = spec.extra_attribs[i]
@@ -216,10 +216,10 @@ def _attributes(spec: oiio.ImageSpec) -> dict[str, Value]:
         except UnicodeDecodeError:
             continue
         if isinstance(value, str | int | float):
-            found[name] = value
+            values[name] = value
         elif isinstance(value, tuple | list | np.ndarray):
-            found[name] = tuple(x.item() if isinstance(x, np.generic) else x for x in np.ravel(value))
-    return found
+            values[name] = tuple(x.item() if isinstance(x, np.generic) else x for x in np.ravel(value))
+    return values
 
 
 def _words(value: Any) -> tuple[str, ...]:

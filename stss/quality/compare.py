@@ -103,7 +103,7 @@ class Comparison:
 
     def to_json(self) -> str:
         """As JSON: null where a region is empty, the text "inf" where a PSNR is infinite."""
-        found = {
+        table = {
             "frames": [
                 {"frame": r.number, "kind": r.kind, "output": r.output.name, "truth": r.truth.name, **self._plain(r.scores)}
                 for r in self.rows
@@ -116,16 +116,16 @@ class Comparison:
             "notes": self.notes,
             "made_with": self.made_with,
         }
-        return json.dumps(found, indent=2, allow_nan=False)
+        return json.dumps(table, indent=2, allow_nan=False)
 
     def _plain(self, scores: Mapping[str, Scores]) -> dict[str, dict[str, float | str | None]]:
         return {
             region: {
                 name: "inf" if value == math.inf else value
-                for name, value in asdict(found).items()
+                for name, value in asdict(values).items()
                 if name in self.metrics and region in METRICS[name][2]
             }
-            for region, found in scores.items()
+            for region, values in scores.items()
         }
 
 
@@ -167,8 +167,8 @@ def compare(
     notes = _notes(out, pairs, holes)
     rows = _rows(pairs, track(list(pairs)), sequence, flip=flip)
     if vmaf:
-        found = vmaf_scores(map(to_8bit, pair.load()) for pair in pairs.values())
-        rows = [_with(row, vmaf=value) for row, value in zip(rows, found, strict=True)]
+        scores = vmaf_scores(map(to_8bit, pair.load()) for pair in pairs.values())
+        rows = [_with(row, vmaf=value) for row, value in zip(rows, scores, strict=True)]
     made_with = {name: sorted({p.made_with[name] for p in pairs.values() if name in p.made_with}) for name in MADE_WITH}
     return Comparison(
         rows,
@@ -269,9 +269,9 @@ def files_of(pairs: Mapping[int, Pair]) -> list[Path]:
     ]
 
 
-def _with(row: FrameScores, **found: float | None) -> FrameScores:
+def _with(row: FrameScores, **values: float | None) -> FrameScores:
     """A row with further scores of the whole frame."""
-    return replace(row, scores={**row.scores, "all": replace(row.scores["all"], **found)})
+    return replace(row, scores={**row.scores, "all": replace(row.scores["all"], **values)})
 
 
 def _notes(out: Path, pairs: Mapping[int, Pair], holes: Path | None) -> list[str]:

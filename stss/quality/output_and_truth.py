@@ -70,8 +70,8 @@ class Pair:
             return image
         if self.non_finite == "refuse":
             y, x, channel = np.argwhere(bad)[0]
-            found = f"{int(bad.sum())} non-finite values, first in {'RGB'[channel]} at (y={y}, x={x})"
-            raise InputError(f"{path}: {found}; --non-finite mask takes them as 0")
+            problem = f"{int(bad.sum())} non-finite values, first in {'RGB'[channel]} at (y={y}, x={x})"
+            raise InputError(f"{path}: {problem}; --non-finite mask takes them as 0")
         return np.where(bad, np.float32(0), image)
 
 
@@ -130,14 +130,14 @@ def _numbered(folder: Path, frames: tuple[int, int] | None) -> dict[int, Path]:
     """Images by frame number: the last digits of the name without its suffix."""
     if not folder.is_dir():
         raise InputError(f"{folder}: " + ("expected a folder, found a file" if folder.exists() else "no such folder"))
-    found: dict[int, Path] = {}
+    files: dict[int, Path] = {}
     images = [p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES and not p.name.startswith(".")]
     for path, _, number, *_ in numbered_files(sorted(images, key=lambda p: (p.suffix.lower() != ".png", p.name))):
-        if number in found and found[number].stem != path.stem:
-            raise InputError(f"{folder}: frame {number} appears twice: {found[number].name}, {path.name}")
+        if number in files and files[number].stem != path.stem:
+            raise InputError(f"{folder}: frame {number} appears twice: {files[number].name}, {path.name}")
         if frames is None or frames[0] <= number <= frames[1]:
-            found[number] = path  # an EXR comes after a PNG of its name and replaces it
-    return found
+            files[number] = path  # an EXR comes after a PNG of its name and replaces it
+    return files
 
 
 def _pair(output: Path, truth: Path, non_finite: NonFinite) -> Pair:

@@ -35,31 +35,31 @@ def find_buffers(header: Header, profile: Profile, buffers: Collection[str]) -> 
         InputError: several layers have the same buffers, so that ``{layer}`` could mean any of them.
     """
     layers = {name.rsplit(".", 2)[0] for name in header.channels if name.count(".") >= 2}
-    found = {layer: _in_layer(header, profile, buffers, layer) for layer in sorted(layers)}
-    if not found:
+    by_layer = {layer: _in_layer(header, profile, buffers, layer) for layer in sorted(layers)}
+    if not by_layer:
         return _in_layer(header, profile, buffers, None)
-    most = max(len(names) for names in found.values())
-    best = [layer for layer, names in found.items() if len(names) == most]
-    if len({tuple(found[layer].values()) for layer in best}) > 1:
+    most = max(len(names) for names in by_layer.values())
+    best = [layer for layer, names in by_layer.items() if len(names) == most]
+    if len({tuple(by_layer[layer].values()) for layer in best}) > 1:
         best = [layer for layer in LAYERS if layer in best] or best
         if best[0] not in LAYERS:
             raise InputError(
                 f"{header.path}: layers {', '.join(best)} all fit profile {profile.name}; "
                 "write the layer's name in place of {layer} in a copy of the profile"
             )
-    return found[best[0]]
+    return by_layer[best[0]]
 
 
 def _in_layer(header: Header, profile: Profile, buffers: Collection[str], layer: str | None) -> dict[str, Source]:
     there = set(header.channels)
-    found: dict[str, Source] = {}
+    sources: dict[str, Source] = {}
     for buffer in buffers:
         for names in profile.channels[buffer]:
             full = names if layer is None else tuple(name.replace("{layer}", layer) for name in names)
             if there.issuperset(full):
-                found[buffer] = Source(header.path, full)
+                sources[buffer] = Source(header.path, full)
                 break
-    return found
+    return sources
 
 
 def missing_buffer(profile: Profile, buffer: str, where: object, there: Collection[str]) -> InputError:

@@ -58,16 +58,16 @@ def convert(
                 continue
             raise InputError(f"frame {number}: no {name}; expected an array" + (", or a camera" if name == "nov" else ""))
         require_unmasked(f"frame {number}: {name}", planes[name])
-        given = np.asarray(planes[name])
-        if given.dtype.kind not in "fiub":
-            raise InputError(f"frame {number}: {name}: expected numbers, found {given.dtype}")
-        if given.ndim and given.dtype.kind != "f" and name != "stencil":
+        original = np.asarray(planes[name])
+        if original.dtype.kind not in "fiub":
+            raise InputError(f"frame {number}: {name}: expected numbers, found {original.dtype}")
+        if original.ndim and original.dtype.kind != "f" and name != "stencil":
             raise InputError(
-                f"frame {number}: {name}: expected floating-point numbers, found {given.dtype}; divide 8-bit values by 255"
+                f"frame {number}: {name}: expected floating-point numbers, found {original.dtype}; divide 8-bit values by 255"
             )
-        plane = given.astype(np.float32)
+        plane = original.astype(np.float32)
         if name == "stencil":
-            require_distinct(f"frame {number}: {name}", given, plane)
+            require_distinct(f"frame {number}: {name}", original, plane)
         if plane.ndim == 0 and name in CONSTANTS:
             plane = np.full(shape, plane)
         plane = plane[..., None] if plane.ndim == 2 else plane
@@ -80,18 +80,18 @@ def convert(
     for name, plane in planes.items():
         if name not in BUFFERS:
             require_unmasked(f"frame {number}: {name}", plane)
-            if (given := np.asarray(plane)).dtype.kind not in "fiub":
-                raise InputError(f"frame {number}: {name}: expected numbers, found {given.dtype}")
-            others[name] = given.astype(np.float32)
+            if (original := np.asarray(plane)).dtype.kind not in "fiub":
+                raise InputError(f"frame {number}: {name}: expected numbers, found {original.dtype}")
+            others[name] = original.astype(np.float32)
     several = {name: stored[name] for name in ("motion", "normal", "position", "base_color")}
     return Buffers(number, stored.get("color"), depth=depth, **single, **several, cut=cut, carried=others)
 
 
-def _pose(given: Array) -> CameraPose:
+def _pose(value: Array) -> CameraPose:
     try:
-        camera = np.asarray(given, np.float64)
+        camera = np.asarray(value, np.float64)
     except (TypeError, ValueError):
-        raise InputError(f"camera: expected a position (3,) or a matrix (4, 4), found {type(given).__name__}") from None
+        raise InputError(f"camera: expected a position (3,) or a matrix (4, 4), found {type(value).__name__}") from None
     if camera.shape not in ((3,), (4, 4)):
         raise InputError(f"camera: expected a position (3,) or a matrix (4, 4), found shape {camera.shape}")
     if not np.isfinite(camera).all():

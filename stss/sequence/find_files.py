@@ -108,11 +108,11 @@ def _fractions(files: Iterable[NumberedFile]) -> str:
     for file in files:
         if match := _FRACTION.fullmatch(file.before):
             whole[match[1]][match[2]] = f"{match[2]}.{file.digits}"
-    found = next((numbers for numbers in whole.values() if len(numbers) > 1), None)
-    if found is None:
+    numbers = next((numbers for numbers in whole.values() if len(numbers) > 1), None)
+    if numbers is None:
         return ""
     return (
-        f"; {max(found.values(), key=len)} looks like a fraction, and fractions are not frame numbers: number the display frames by"
+        f"; {max(numbers.values(), key=len)} looks like a fraction, and fractions are not frame numbers: number the display frames by"
         " whole numbers, half frames too"
     )
 
@@ -122,12 +122,12 @@ def _files(path: Path, folder: Path) -> list[Path]:
     try:
         return sorted(folder.iterdir())
     except FileNotFoundError:
-        found = "nothing"
+        kind = "nothing"
     except NotADirectoryError:
-        found = "a file"
+        kind = "a file"
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from error
-    raise InputError(f"{path}: expected a folder, or a pattern like name.####.exr; found {found}")
+    raise InputError(f"{path}: expected a folder, or a pattern like name.####.exr; found {kind}")
 
 
 def frame_number(file: Path, digits: str) -> int:

@@ -119,9 +119,9 @@ class Sequence:
 
     def part(self, numbers: Collection[int]) -> Sequence:
         """The sequence without the frames that ``numbers`` does not name."""
-        found = copy(self)
-        found.frames = {number: frame for number, frame in self.frames.items() if number in numbers}
-        return found
+        selection = copy(self)
+        selection.frames = {number: frame for number, frame in self.frames.items() if number in numbers}
+        return selection
 
     def load(self, number: int, *, color: bool = True, also: Collection[str] = ()) -> Buffers:
         """Read one display frame.
@@ -163,7 +163,7 @@ class Sequence:
     def _projection(self, number: int, buffers: Buffers | None = None) -> Projection | None:
         """A frame's, of which the last few are kept."""
         if number not in self._projections:
-            self._projections = {n: found for n, found in self._projections.items() if abs(n - number) <= WINDOW}
+            self._projections = {n: projection for n, projection in self._projections.items() if abs(n - number) <= WINDOW}
             self._projections[number] = projection_of(buffers or self._load(number, color=False))
         return self._projections[number]
 
@@ -238,9 +238,9 @@ class Sequence:
         rule = self.profile.depth
         solved = solve_camera(linear_depth(stored["depth"][..., 0], rule), stored["position"], ray=rule.kind == "ray")
         if solved is None or solved.residual > MAX_RESIDUAL:
-            found = "too few surfaces" if solved is None else f"they differ by {solved.residual:.1g} of the distance"
+            reason = "too few surfaces" if solved is None else f"they differ by {solved.residual:.1g} of the distance"
             raise InputError(
-                f"{self._where(number)}: no nov and no camera, and position and depth do not give one ({found}): give --camera CSV "
+                f"{self._where(number)}: no nov and no camera, and position and depth do not give one ({reason}): give --camera CSV "
                 f"(frame,x,y,z in the scene's unit) or a channel {' or '.join(names[0] for names in self.profile.channels['nov'])}"
             )
         return solved.pose
@@ -251,7 +251,7 @@ class Sequence:
         color = frame.sources["color"]
         there = {path: read_header(path).channels for path in frame.files}
         alpha = color.names[0][:-1] + "A"
-        found = {"A": Source(color.path, (alpha,))} if color.names[0].endswith("R") and alpha in there[color.path] else {}
+        planes = {"A": Source(color.path, (alpha,))} if color.names[0].endswith("R") and alpha in there[color.path] else {}
         own = {letter: Source(color.path, (full,)) for letter, full in zip("RGB", color.names, strict=True)}
         for name in also:
             chosen = [
@@ -265,14 +265,14 @@ class Sequence:
                 raise InputError(f"{self._where(number)}: no layer or channel {name}; found {', '.join(names)}")
             for source in chosen:
                 full = source.names[0]
-                other = (own | found).get(full, source)
+                other = (own | planes).get(full, source)
                 if other != source:
                     raise InputError(
                         f"{source.path}: --also {name}: channel {full} would take the place of {other.names[0]} of {other.path.name}"
                     )
                 if full not in own:
-                    found[full] = source
-        return found
+                    planes[full] = source
+        return planes
 
     def require(self, numbers: Iterable[int]) -> None:
         """Raise InputError where one of these display frames has no file."""
@@ -333,11 +333,11 @@ def open_sequence(
             constants[buffer] = value
             if not 0 <= value <= 1:
                 raise InputError(f"{buffer}: expected a number from 0 to 1, found {value}")
-    found = find_frames(path, {table.file_of(buffer) for buffer in BUFFERS})
+    files_by_number = find_frames(path, {table.file_of(buffer) for buffer in BUFFERS})
     first: Header | None = None
     frames: dict[int, RawFrame] = {}
-    for number in track(sorted(found)):
-        headers = {ending: read_header(file) for ending, file in found[number].items()}
+    for number in track(sorted(files_by_number)):
+        headers = {ending: read_header(file) for ending, file in files_by_number[number].items()}
         for header in headers.values():
             first = first or header
             if header.display != first.display:
@@ -391,15 +391,15 @@ def find_profile(path: Path) -> Profile:
     for name in profile_names():
         table = load_profile(name)
         try:
-            found = find_frames(path, {table.file_of(buffer) for buffer in BUFFERS})
-            files = found[min(found)]
+            files_by_number = find_frames(path, {table.file_of(buffer) for buffer in BUFFERS})
+            files = files_by_number[min(files_by_number)]
             headers = {ending: read_header(file) for ending, file in files.items()}
         except InputError as error:
             refusals.append(error)
             continue
         views = views or next((header.views for header in headers.values()), ())
         try:
-            scores[name] = len(_frame_of(min(found), headers, table, None, None).sources)
+            scores[name] = len(_frame_of(min(files_by_number), headers, table, None, None).sources)
         except InputError as error:
             layers.append(error)
     if layers and max(scores.values(), default=0) < LEAST:

@@ -74,11 +74,11 @@ def product_is_right(device: Device, *, emulate: bool) -> bool:
     a, b = (to_bfloat16(random.normal(size=size)) for size in ((16, 32), (16, 16, 2)))
     bias = random.normal(size=16).astype(np.float32)
     got = np.empty((16, 16), np.float32)
-    made = cl.Buffer(device.context, FLAGS.WRITE_ONLY, got.nbytes)
+    output = cl.Buffer(device.context, FLAGS.WRITE_ONLY, got.nbytes)
     program = build(device, "matrix_amx.cl", {"EMULATE": emulate})
     inputs = {name: constant(device, array) for name, array in {"a": a, "b": b, "bias": bias}.items()}
-    Kernel(program, "matrix_amx", {**inputs, "sums": made}).enqueue(device.queue, (1,), (1,))
-    cl.enqueue_copy(device.queue, got, made)
+    Kernel(program, "matrix_amx", {**inputs, "sums": output}).enqueue(device.queue, (1,), (1,))
+    cl.enqueue_copy(device.queue, got, output)
     return bool((got == multiplied(np.broadcast_to(bias, (16, 16)), a, b)).all())
 
 

@@ -132,9 +132,9 @@ def inputs_for(device: Device, rows: int, columns: int, dtype: np.dtype[Any], ch
         padded(device, rows // 8, columns // 8, 16, dtype),
     )
     base = cl.Buffer(device.context, FLAGS.READ_WRITE, rows * columns * 16)
-    maps = Parts(device, [map_bytes(held.height, held.width, held.images) for held in made]) if changes else None
+    maps = Parts(device, [map_bytes(image.height, image.width, image.images) for image in made]) if changes else None
     marks = (None, None, None) if maps is None else maps.buffers
-    input_, earlier, eighth = (replace(held, changes=map_) for held, map_ in zip(made, marks, strict=True))
+    input_, earlier, eighth = (replace(image, changes=map_) for image, map_ in zip(made, marks, strict=True))
     return Inputs(input_, earlier, eighth, base, maps)
 
 
@@ -151,8 +151,8 @@ def read(device: Device, source: Padded, first: int = 0, channels: int | None = 
     host = np.empty((source.images, source.rows, source.columns, source.channels), source.dtype)
     cl.enqueue_copy(device.queue, host, source.data)  # the slack stays behind
     last = source.channels if channels is None else first + channels
-    found = host[image][(*source.inside, slice(first, last))]
-    return np.ascontiguousarray(from_bfloat16(found) if source.dtype == BFLOAT16 else found, np.float32)
+    values = host[image][(*source.inside, slice(first, last))]
+    return np.ascontiguousarray(from_bfloat16(values) if source.dtype == BFLOAT16 else values, np.float32)
 
 
 def constant(device: Device, array: NDArray[Any]) -> cl.Buffer:
@@ -192,9 +192,9 @@ def part(device: Device, buffer: cl.Buffer, first: int, size: int) -> cl.Buffer:
     """The ``size`` bytes of a buffer from byte ``first`` on: in place where the device allows a buffer to begin there, else a copy."""
     if size and first % (device.handle.mem_base_addr_align // 8) == 0:
         return buffer.get_sub_region(first, size)
-    made = cl.Buffer(device.context, FLAGS.READ_WRITE, size)
-    cl.enqueue_copy(device.queue, made, buffer, byte_count=size, src_offset=first)
-    return made
+    copy = cl.Buffer(device.context, FLAGS.READ_WRITE, size)
+    cl.enqueue_copy(device.queue, copy, buffer, byte_count=size, src_offset=first)
+    return copy
 
 
 def incoming(device: Device, array: Array) -> cl.Buffer:
@@ -208,9 +208,9 @@ def incoming(device: Device, array: Array) -> cl.Buffer:
 
 def mask_of(device: Device, mask: cl.Buffer, size: tuple[int, int], *, on_device: bool) -> Outgoing:
     """A copy of a mask (H, W), uint8."""
-    made = Outgoing(device, size, np.uint8, on_device=on_device)
-    cl.enqueue_copy(device.queue, made.data, mask, byte_count=made.array.nbytes)
-    return made
+    copy = Outgoing(device, size, np.uint8, on_device=on_device)
+    cl.enqueue_copy(device.queue, copy.data, mask, byte_count=copy.array.nbytes)
+    return copy
 
 
 class Outgoing:

@@ -86,8 +86,8 @@ def read(path: Path, most: int) -> bytes | None:
     flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
     try:
         with os.fdopen(os.open(path, flags), "rb") as file:
-            found = os.fstat(file.fileno())
-            return file.read(most) if stat.S_ISREG(found.st_mode) and found.st_size <= most else None
+            status = os.fstat(file.fileno())
+            return file.read(most) if stat.S_ISREG(status.st_mode) and status.st_size <= most else None
     except OSError:
         return None
 
@@ -125,16 +125,16 @@ def _secure(folder: Path) -> bool:
     """Refuse a folder of another user, and take others' right to write from ours. Returns whether they had it."""
     if not hasattr(os, "getuid"):
         return False  # Windows: the profile's folder has its own access list
-    found = folder.lstat()
-    if not stat.S_ISDIR(found.st_mode):
+    status = folder.lstat()
+    if not stat.S_ISDIR(status.st_mode):
         raise DeviceError(f"kernel cache {folder}: expected a folder, got something else, or a link")
-    if found.st_uid != os.getuid():
+    if status.st_uid != os.getuid():
         raise DeviceError(
-            f"kernel cache {folder}: belongs to user {found.st_uid}, not to you; set XDG_CACHE_HOME to another place"
+            f"kernel cache {folder}: belongs to user {status.st_uid}, not to you; set XDG_CACHE_HOME to another place"
         )
-    if not found.st_mode & WRITABLE_BY_OTHERS:
+    if not status.st_mode & WRITABLE_BY_OTHERS:
         return False
-    folder.chmod(stat.S_IMODE(found.st_mode) & ~WRITABLE_BY_OTHERS)
+    folder.chmod(stat.S_IMODE(status.st_mode) & ~WRITABLE_BY_OTHERS)
     return True
 
 
@@ -157,10 +157,10 @@ def _make(folder: Path) -> None:
 def _user_home() -> Path:
     if os.environ.get("HOME") == "":
         raise RuntimeError("an empty HOME stands for the root folder")
-    found = Path.home()
-    if not found.is_absolute():
+    folder = Path.home()
+    if not folder.is_absolute():
         raise RuntimeError("a relative HOME follows the working directory")
-    return found
+    return folder
 
 
 def _serves(folder: Path) -> bool:
@@ -186,12 +186,12 @@ def _refuse_others(folder: Path) -> None:
     if not hasattr(os, "getuid"):
         return
     for each in (folder, *folder.parents):
-        found = each.stat()
-        if found.st_uid not in (os.getuid(), 0):
+        status = each.stat()
+        if status.st_uid not in (os.getuid(), 0):
             raise DeviceError(
-                f"kernel cache {each}: belongs to user {found.st_uid}, not to you; set XDG_CACHE_HOME to another place"
+                f"kernel cache {each}: belongs to user {status.st_uid}, not to you; set XDG_CACHE_HOME to another place"
             )
-        if found.st_mode & stat.S_IWOTH and not found.st_mode & stat.S_ISVTX:
+        if status.st_mode & stat.S_IWOTH and not status.st_mode & stat.S_ISVTX:
             raise DeviceError(
                 f"kernel cache {each}: expected a folder that only you can write to; chmod o-w, or set XDG_CACHE_HOME"
             )

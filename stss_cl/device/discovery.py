@@ -161,8 +161,8 @@ class Properties:
     @property
     def target(self) -> str:
         """LLVM's name of the processor that kernels are compiled for, from the end of PoCL's device version; "" if unknown."""
-        found = re.search(r"-(?:gnu|musl|darwin[\d.]*|msvc)-(\S+)$", _one_line(self.handle.version))
-        return given_name(self.handle) or (found[1] if found else "")
+        match = re.search(r"-(?:gnu|musl|darwin[\d.]*|msvc)-(\S+)$", _one_line(self.handle.version))
+        return given_name(self.handle) or (match[1] if match else "")
 
     @property
     def platform_version(self) -> str:

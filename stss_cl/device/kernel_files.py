@@ -53,28 +53,28 @@ def mend(folder: Path) -> None:
     ends a process whose file goes while it links.
     """
     used, now = _is_used(folder), time.time()
-    listed, found = _read(folder), dict[str, Known]()
+    listed, files = _read(folder), dict[str, Known]()
     boot = (read(BOOT, 64) or b"").decode()
     whole, damaged = 0, 0
     for name, entry in _files(folder):
         known, state = listed.get(name), _state(entry, boot)
         if known is not None and known.state == state != "-":
-            found[name] = known
+            files[name] = known
             continue
         data = read(Path(entry.path), MOST_BYTES) or b""
         if known is not None and known.digest == hashlib.sha256(data).hexdigest():
-            found[name] = Known(known.digest, state)
+            files[name] = Known(known.digest, state)
         elif known is None and is_whole(Path(name).suffix, data):
             whole += 1
         elif not (used and _written(entry) > now - YOUNG):
             Path(entry.path).unlink(missing_ok=True)
             damaged += 1
     if damaged:
-        total = damaged + whole + len(found)
+        total = damaged + whole + len(files)
         echo(f"kernel cache {folder}: {damaged} of {total} files are damaged, and built anew", err=True)
-    if listed != found:
-        _write(folder, found)
-    atexit.register(partial(_remember, folder, set(found), boot))
+    if listed != files:
+        _write(folder, files)
+    atexit.register(partial(_remember, folder, set(files), boot))
 
 
 def _is_used(folder: Path) -> bool:
@@ -163,10 +163,10 @@ def _files(folder: Path, below: str = "") -> Iterator[tuple[str, os.DirEntry[str
 def _state(entry: os.DirEntry[str], boot: str) -> str:
     """What differs once a file has been written to, or the system started again, at which what was written last may be lost; or "-"."""
     try:
-        found = entry.stat(follow_symlinks=False)
+        status = entry.stat(follow_symlinks=False)
     except OSError:
         return "-"
-    what = f"{boot} {found.st_ino} {found.st_size} {found.st_mtime_ns} {found.st_ctime_ns}"
+    what = f"{boot} {status.st_ino} {status.st_size} {status.st_mtime_ns} {status.st_ctime_ns}"
     return hashlib.sha256(what.encode()).hexdigest()[:16] if boot else "-"
 
 

@@ -79,11 +79,11 @@ def _product_is_right(device: Device) -> bool:
     pixels, weight = (random.integers(-8, 9, size).astype(np.float16) for size in ((UNIT, 16), (16, PARTS, HELD)))
     want = 1 + pixels.astype(np.float32) @ weight.astype(np.float32).reshape(16, -1)
     got = np.empty((WAVES, *want.shape), np.float32)
-    made = cl.Buffer(device.context, FLAGS.WRITE_ONLY, got.nbytes)
+    output = cl.Buffer(device.context, FLAGS.WRITE_ONLY, got.nbytes)
     inputs = constant(device, np.ascontiguousarray(pixels.reshape(UNIT, 2, 8).swapaxes(0, 1)))
     program = build(device, "matrix.cl", {"STORED": "HALF", "EMULATE": are_emulated(device)})
     size = LANES, WAVES
-    arguments = {"pixels": inputs, "weight": constant(device, arrange(weight)), "d": made}
+    arguments = {"pixels": inputs, "weight": constant(device, arrange(weight)), "d": output}
     Kernel(program, "matrix", arguments).enqueue(device.queue, size, size)
-    cl.enqueue_copy(device.queue, got, made)
+    cl.enqueue_copy(device.queue, got, output)
     return bool((got == want).all())

@@ -106,46 +106,46 @@ def _parse(data: bytes) -> Relocatable:
     return Relocatable(data, sections, _bytes(data, sections[names]), symbols, _bytes(data, sections[tables[0].link]))
 
 
-def _link(given: Relocatable) -> bytes:
-    kept = {i: section for i, section in enumerate(given.sections) if given.kept(section)}
-    contents = {i: _bytes(given.data, section) for i, section in kept.items()}
-    for section in given.sections:
+def _link(source: Relocatable) -> bytes:
+    kept = {i: section for i, section in enumerate(source.sections) if source.kept(section)}
+    contents = {i: _bytes(source.data, section) for i, section in kept.items()}
+    for section in source.sections:
         if section.flags & ALLOCATED and section.flags & WRITABLE and section.size:
             raise LinkError("expected no data that can be written to")
-    exported = [symbol for symbol in given.symbols if symbol.info >> 4 and symbol.section in kept]
+    exported = [symbol for symbol in source.symbols if symbol.info >> 4 and symbol.section in kept]
     names = bytearray(1)
     table = bytearray(SYMBOL.size)
-    places = _places(HEADER.size + 4 * SEGMENT.size, exported, given, kept)
+    places = _places(HEADER.size + 4 * SEGMENT.size, exported, source, kept)
     for symbol in exported:
         address = places.sections[symbol.section] + symbol.value
         table += SYMBOL.pack(len(names), symbol.info, symbol.other, 1, address, symbol.size)
-        names += given.name(symbol).encode() + b"\0"
+        names += source.name(symbol).encode() + b"\0"
     # One bucket: a chain from each symbol to the one before it.
     count = len(exported) + 1
     chains = struct.pack(f"<{3 + count}I", 1, count, count - 1, *(max(i - 1, 0) for i in range(count)))
     dynamic = struct.pack(
         "<12Q", 4, places.chains, 5, places.names, 6, places.symbols, 10, len(names), 11, SYMBOL.size, 0, 0
     )  # DT_HASH, DT_STRTAB, DT_SYMTAB, DT_STRSZ, DT_SYMENT, DT_NULL
-    made = bytearray(places.dynamic)
+    image = bytearray(places.dynamic)
     for at, part in ((places.symbols, table), (places.names, names), (places.chains, chains)):
-        made[at : at + len(part)] = part
+        image[at : at + len(part)] = part
     for i, content in contents.items():
-        made[places.sections[i] : places.sections[i] + len(content)] = content
-    _relocate(made, given, places.sections)
+        image[places.sections[i] : places.sections[i] + len(content)] = content
+    _relocate(image, source, places.sections)
     # The dynamic section is written to as it is loaded, so it gets a page of its own: a page further on than in the file.
     segments = (
-        (LOAD, READ | EXECUTE, 0, 0, len(made), PAGE),
-        (LOAD, READ | WRITE, len(made), len(made) + PAGE, len(dynamic), PAGE),
-        (DYNAMIC, READ | WRITE, len(made), len(made) + PAGE, len(dynamic), 8),
+        (LOAD, READ | EXECUTE, 0, 0, len(image), PAGE),
+        (LOAD, READ | WRITE, len(image), len(image) + PAGE, len(dynamic), PAGE),
+        (DYNAMIC, READ | WRITE, len(image), len(image) + PAGE, len(dynamic), 8),
         (STACK, READ | WRITE, 0, 0, 0, 16),
     )
     header = HEADER.pack(
         IDENT, SHARED, X86_64, 1, 0, HEADER.size, 0, 0, HEADER.size, SEGMENT.size, len(segments), SECTION.size, 0, 0
     )
-    made[: len(header)] = header
+    image[: len(header)] = header
     for i, (kind, flags, offset, address, size, alignment) in enumerate(segments):
-        SEGMENT.pack_into(made, HEADER.size + i * SEGMENT.size, kind, flags, offset, address, address, size, size, alignment)
-    return bytes(made + dynamic)
+        SEGMENT.pack_into(image, HEADER.size + i * SEGMENT.size, kind, flags, offset, address, address, size, size, alignment)
+    return bytes(image + dynamic)
 
 
 class Places(NamedTuple):
@@ -158,9 +158,9 @@ class Places(NamedTuple):
     dynamic: int
 
 
-def _places(first: int, exported: Sequence[Symbol], given: Relocatable, kept: dict[int, Section]) -> Places:
+def _places(first: int, exported: Sequence[Symbol], source: Relocatable, kept: dict[int, Section]) -> Places:
     count = len(exported) + 1
-    names = 1 + sum(len(given.name(symbol).encode()) + 1 for symbol in exported)
+    names = 1 + sum(len(source.name(symbol).encode()) + 1 for symbol in exported)
     sizes = (SYMBOL.size * count, names + -names % 8, 4 * (3 + count))
     symbols, strings, chains, end = accumulate(sizes, initial=first)
     sections: dict[int, int] = {}
@@ -173,22 +173,22 @@ def _places(first: int, exported: Sequence[Symbol], given: Relocatable, kept: di
     return Places(symbols, strings, chains, sections, end + -end % 16)
 
 
-def _relocate(made: bytearray, given: Relocatable, places: dict[int, int]) -> None:
+def _relocate(image: bytearray, source: Relocatable, places: dict[int, int]) -> None:
     """Fill in the distances."""
-    for section in given.sections:
+    for section in source.sections:
         if section.kind != RELOCATIONS or section.info not in places:
             continue
         for at in _entries(section, RELOCATION):
-            offset, info, addend = RELOCATION.unpack_from(given.data, at)
-            symbol, kind = given.symbols[info >> 32], info & 0xFFFFFFFF
+            offset, info, addend = RELOCATION.unpack_from(source.data, at)
+            symbol, kind = source.symbols[info >> 32], info & 0xFFFFFFFF
             if kind not in DISTANCES:
                 raise LinkError(f"expected relocations {DISTANCES}, got {kind}")
             if symbol.section not in places:
-                raise LinkError(f"symbol {given.name(symbol)}: not in this object")
-            if not 0 <= offset <= given.sections[section.info].size - 4:
+                raise LinkError(f"symbol {source.name(symbol)}: not in this object")
+            if not 0 <= offset <= source.sections[section.info].size - 4:
                 raise LinkError(f"relocation at {offset}: beyond its section")
             place = places[section.info] + offset
-            struct.pack_into("<i", made, place, places[symbol.section] + symbol.value + addend - place)
+            struct.pack_into("<i", image, place, places[symbol.section] + symbol.value + addend - place)
 
 
 def _entries(section: Section, entry: struct.Struct) -> range:

@@ -53,12 +53,12 @@ def check_steps(steps: Sequence[int]) -> tuple[int, int, int]:
         ArrayError: they are not three numbers in order.
     """
     try:
-        given = tuple(int(step) for step in steps)
+        numbers = tuple(int(step) for step in steps)
     except (TypeError, ValueError) as error:
         raise ArrayError(f"steps: expected three numbers from 0 to {MOST_STEPS}, got {type(steps).__name__}") from error
-    if len(given) != 3 or list(given) != sorted(given) or not 0 <= given[0] <= given[2] <= MOST_STEPS:
-        raise ArrayError(f"steps: expected three numbers from 0 to {MOST_STEPS}, newest (smallest) first, got {given}")
-    return given
+    if len(numbers) != 3 or list(numbers) != sorted(numbers) or not 0 <= numbers[0] <= numbers[2] <= MOST_STEPS:
+        raise ArrayError(f"steps: expected three numbers from 0 to {MOST_STEPS}, newest (smallest) first, got {numbers}")
+    return numbers
 
 
 def upload(device: Device, name: str, source: Source, shape: tuple[int, ...]) -> cl.Buffer:

@@ -106,14 +106,14 @@ class Prepare:
     @cached_property
     def _whole(self) -> _Launches:
         """The launches that compute everything."""
-        return self._made(marks=False)
+        return self._make(marks=False)
 
     @cached_property
     def _marking(self) -> _Launches:
         """The launches that compute only dirty tiles, and mark those that then differ."""
-        return self._made(marks=True)
+        return self._make(marks=True)
 
-    def _made(self, *, marks: bool) -> _Launches:
+    def _make(self, *, marks: bool) -> _Launches:
         inputs, (height, width) = self.inputs, (self.height, self.width)
         options = {**amx.stored_as(self.device, inputs.input.dtype), **marking(self.device, marks)}
         gather = {"GATHER": f"gather_{self._gather}", "LONGEST": self._gather == "longest", "EIGHT_PIXELS": self.device.is_cpu}
@@ -144,30 +144,30 @@ class Prepare:
         }  # fmt: skip
         across = 8 if self.device.is_cpu else 1
 
-        def made(name: str, columns: int, rows: int, *groups: Arguments, of: Program = frame) -> Launch:
+        def launch(name: str, columns: int, rows: int, *groups: Arguments, of: Program = frame) -> Launch:
             arguments = {argument: value for group in groups for argument, value in group.items()}
             return Launch(name, Kernel(of, name, arguments), arguments, *grid(self.device, columns, rows))
 
         whole, part = (ceil_div(width, across), height), (ceil_div(self.columns, across), self.rows)
         if self._reshades:
-            search = (made("find_samples", *whole, {"mask": self.mask, "samples": self._samples, "top": 0}, task),)
+            search = (launch("find_samples", *whole, {"mask": self.mask, "samples": self._samples, "top": 0}, task),)
         else:
-            search = tuple(made(name, *whole, {"splat": self.splat}, size) for name in ("splat_nearest", "splat_first"))
+            search = tuple(launch(name, *whole, {"splat": self.splat}, size) for name in ("splat_nearest", "splat_first"))
         return _Launches(
-            chain=made("chain_steps", *whole, {"motions": self._motions, "dirty": dirty}, size),
+            chain=launch("chain_steps", *whole, {"motions": self._motions, "dirty": dirty}, size),
             colors=(
-                made("prepare_newest", *part, written, newest, marked, task),
-                *(made("prepare_older", *part, written, marked, task, {"image": image}) for image in (1, 0) if self._stores),
+                launch("prepare_newest", *part, written, newest, marked, task),
+                *(launch("prepare_older", *part, written, marked, task, {"image": image}) for image in (1, 0) if self._stores),
             ),
             search=search,
-            fill=made("fill_holes", *part, newest, marked, {"samples": self._samples}, task),
-            eighth=made("downsample_8", inputs.eighth.width, inputs.eighth.height, small, size, of=eighth),
+            fill=launch("fill_holes", *part, newest, marked, {"samples": self._samples}, task),
+            eighth=launch("downsample_8", inputs.eighth.width, inputs.eighth.height, small, size, of=eighth),
         )
 
     def load(self) -> None:
         """Have the runtime load or compile all kernels."""
-        for made in (self._whole,) if self.inputs.changes is None else (self._whole, self._marking):
-            for launch in (made.chain, *made.colors, *made.search, made.fill, made.eighth):
+        for launches in (self._whole,) if self.inputs.changes is None else (self._whole, self._marking):
+            for launch in (launches.chain, *launches.colors, *launches.search, launches.fill, launches.eighth):
                 launch.load(self.device.queue, **{name: none for name, none in NOTHING.items() if name in launch.arguments})
 
     def begin(

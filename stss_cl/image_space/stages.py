@@ -79,8 +79,8 @@ class ImageStages:
     def launch(self, of: Program, kernel: str, size: tuple[int, int], **arguments: cl.Buffer | int) -> None:
         """Enqueue a kernel with one work-item for each of (H, W) places, rounded up to whole work-groups."""
         height, width = size
-        made = Kernel(of, kernel, {**arguments, "height": height, "width": width})
-        made.enqueue(self.device.queue, *grid(self.device, width, height))
+        stage = Kernel(of, kernel, {**arguments, "height": height, "width": width})
+        stage.enqueue(self.device.queue, *grid(self.device, width, height))
 
 
 def _size(inputs: Inputs, name: str, *channels: int | None) -> tuple[int, int]:

@@ -107,8 +107,8 @@ def layer(
     tiles = whole(device, tiling.lines, tiling.columns)
     marks = {} if out is None else {"changes": None}
     together = {**arguments, "tiles": tiles.tiles, "count": tiles.count, **marks}
-    made = _kernel(device, source, together)
-    return LayerLaunch(name, made, together, size, group, stage, source, tiling, reads, None if out is None else out.changes)
+    kernel = _kernel(device, source, together)
+    return LayerLaunch(name, kernel, together, size, group, stage, source, tiling, reads, None if out is None else out.changes)
 
 
 def _kernel(device: Device, source: KernelSource, arguments: Arguments) -> Kernel:

@@ -63,8 +63,8 @@ class Network:
         """
         height, width = check(color, gbuffer, mask, history)
         layers = self.layers(height, width)
-        given = {"color": color, "gbuffer": gbuffer, "mask": mask, "history": history}
-        read = {name: array for name, array in given.items() if layers.reads_history or name != "history"}
+        tensors = {"color": color, "gbuffer": gbuffer, "mask": mask, "history": history}
+        read = {name: array for name, array in tensors.items() if layers.reads_history or name != "history"}
         held = {
             name: on_device(self.device, name, array) if isinstance(array, cla.Array) else incoming(self.device, array)
             for name, array in read.items()
@@ -74,11 +74,11 @@ class Network:
             layers.place(strip)
             layers.pack(held["color"], held["gbuffer"], held["mask"], held.get("history"))
             layers.run(image.data)
-        made = image.finish()
+        result = image.finish()
         if not layers.all_finite():
             for name, array in read.items():
                 require_finite(name, array.get() if isinstance(array, cla.Array) else array)
-        return made
+        return result
 
     def layers(self, height: int, width: int) -> Layers:
         """Buffers and launches for one size, from the last call if it was of that size."""

@@ -104,12 +104,12 @@ def strips(height: int, shown: int, rows: int, overlap: int) -> tuple[Strip, ...
     """
     if rows >= height:
         return (Strip(0, 0, shown),)
-    made: list[Strip] = []
+    parts: list[Strip] = []
     written = top = 0
     while written < shown:
         ends = top + rows >= height
         last = shown if ends else (top + rows - overlap) // STEP * STEP
-        made.append(Strip(top, written - top, last - top))
+        parts.append(Strip(top, written - top, last - top))
         written = last
         top = min(written - overlap, height - rows)
-    return tuple(made)
+    return tuple(parts)

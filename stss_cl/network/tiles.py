@@ -79,13 +79,13 @@ _whole: WeakKeyDictionary[cl.Context, dict[tuple[int, int, int], TileList]] = We
 
 def whole(device: Device, rows: int, columns: int, first: int = 0) -> TileList:
     """The list of all tiles from row ``first`` on; made once for each size."""
-    made = _whole.setdefault(device.context, {})
-    if (rows, columns, first) not in made:
+    lists = _whole.setdefault(device.context, {})
+    if (rows, columns, first) not in lists:
         y, x = np.mgrid[first:rows, :columns].astype(np.uint32)
-        made[rows, columns, first] = TileList(
+        lists[rows, columns, first] = TileList(
             constant(device, (y << 16 | x).ravel()), constant(device, np.array([y.size], np.int32))
         )
-    return made[rows, columns, first]
+    return lists[rows, columns, first]
 
 
 def find_tiles(device: Device, tiling: Tiling, maps: Maps, to: TileList) -> Launch:

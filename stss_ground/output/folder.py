@@ -86,8 +86,8 @@ class OutputFolder:
 
     def present(self) -> list[Path]:
         """The files that are there under names of this folder's files, and the list of checksums."""
-        found = [path for path in self._listed() if self._name.fullmatch(path.name)]
-        return [path for path in (*found, self.path / SUMS) if os.path.lexists(path)]
+        paths = [path for path in self._listed() if self._name.fullmatch(path.name)]
+        return [path for path in (*paths, self.path / SUMS) if os.path.lexists(path)]
 
     @contextmanager
     def open(self, *, refusal: str | None) -> Generator[None, None, None]:
@@ -248,8 +248,8 @@ class OutputFolder:
         return "".join(f"{digest}  {name}\n" for name in sorted(self._sums) for digest in self._sums[name]).encode()
 
     def _listed(self) -> list[Path]:
-        found: list[Path] = []
+        paths: list[Path] = []
         for folder in self.folders():
             if folder.is_dir():
-                found += sorted(folder.iterdir())
-        return found
+                paths += sorted(folder.iterdir())
+        return paths

@@ -60,7 +60,7 @@ def locked(folder: Path) -> Generator[None, None, None]:
 
 def _take(path: Path) -> BaseFileLock:
     _require_lock(path)
-    made, lock = not os.path.lexists(path), FileLock(path)
+    is_new, lock = not os.path.lexists(path), FileLock(path)
     try:
         try:
             with warnings.catch_warnings():
@@ -69,7 +69,7 @@ def _take(path: Path) -> BaseFileLock:
         except (OSError, NotImplementedError) as error:
             if isinstance(error, Timeout) or (isinstance(error, OSError) and error.errno not in _NO_LOCKS):
                 raise
-            if made:
+            if is_new:
                 path.unlink(missing_ok=True)  # else it would count as the lock of another process
             lock = SoftFileLock(path)
             lock.acquire(blocking=False)
@@ -87,11 +87,11 @@ def _require_lock(path: Path) -> None:
     """Raise InputError for a file that is no lock of ours: taking it would empty a link's target or a file of the user's."""
     if not os.path.lexists(path):
         return
-    found = path.lstat()
+    status = path.lstat()
     if (
-        not stat.S_ISREG(found.st_mode)
-        or found.st_nlink != 1
-        or found.st_size > _MOST_BYTES
+        not stat.S_ISREG(status.st_mode)
+        or status.st_nlink != 1
+        or status.st_size > _MOST_BYTES
         or not _SIGNED.match(path.read_bytes())
     ):
         raise InputError(f"{path}: expected the lock of a run, found something else; remove it, or choose another folder")
