@@ -59,7 +59,7 @@ def test_a_file_is_whole_or_not_there(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["m.onnx"]
 
 
-@pytest.mark.filterwarnings("ignore:read_text is deprecated:DeprecationWarning")  # by ExecuTorch
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # in ExecuTorch
 @pytest.mark.parametrize("engine", ENGINES)
 def test_engines_compute_the_network(engine):
     """And with other weights another one: the comparison can fail."""
