@@ -63,7 +63,7 @@ static __attribute__((noinline)) bool is_turned(const float4 of, const float4 ea
 {
     const float3 normal = of.xyz, n = earlier.xyz;
     const float length = sqrt(sum3(n * n));
-    const bool surface = length > 0.0f || normal.x != 0.0f || normal.y != 0.0f || normal.z != 0.0f;
+    const bool surface = any(normal != 0.0f) || any(n != 0.0f);  // not by its length, whose square may be flushed to 0
     return surface && sum3(normal * n) / (length + 1e-5f) < least_cosine;
 }
 

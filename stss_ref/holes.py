@@ -150,7 +150,7 @@ def cosine(normal: Image, n: Image) -> Plane:
 
 def is_surface(normal: Image, n: Image) -> Mask:
     """(H, W) False where both normals are 0, as on a background."""
-    return (np.sqrt(squared(n)) > 0) | (normal != 0).any(axis=-1)
+    return (n != 0).any(axis=-1) | (normal != 0).any(axis=-1)
 
 
 def objects_apart(s: Plane, stencil: Plane) -> Plane:

@@ -41,7 +41,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     // Turned away: by 60 degrees, or what moves by 11. The divisor is the length of the earlier normal alone. Two normals of 0 are no surface.
     let length = sqrt(normal.x * normal.x + normal.y * normal.y + normal.z * normal.z);
     let cosine = (here.normal.x * normal.x + here.normal.y * normal.y + here.normal.z * normal.z) / (length + 1e-5);
-    let surface = length > 0.0 || any(here.normal != vec3<f32>(0.0));
+    let surface = any(normal != vec3<f32>(0.0)) || any(here.normal != vec3<f32>(0.0));
     let is_moving_hole = stencil != 0.0 && cosine < 0.98 && surface;
     let is_static_hole = stencil == 0.0 && (!near || (frame.paper == 0 && cosine < 0.5 && surface));
 

@@ -82,7 +82,8 @@ def build(device: Device, file: str, options: Mapping[str, object] | None = None
         DeviceError: it does not build; the message has the source line that the compiler's log names, ``log`` has the whole log.
     """
     defines = [f"-D {k}" if v is True else f"-D {k}={v}" for k, v in (options or {}).items() if v is not None and v is not False]
-    key = (file, " ".join(["-cl-std=CL1.2", *defines, MAKERS_OPTIONS.get(device.maker, ""), flags, FLUSH]).strip())
+    together = ["-cl-std=CL1.2", *defines, MAKERS_OPTIONS.get(device.maker, ""), flags, FLUSH]
+    key = (file, " ".join(option for option in together if option))
     device.require_same_process()
     with _building:
         built = _programs.setdefault(device, {})

@@ -31,5 +31,5 @@ def test_every_way_gives_the_frames_of_the_reference(device, precision, gather):
         np.testing.assert_array_equal(valid, want_valid)
         assert ratio(f"network.cl.{precision}", image, want.astype(np.float64)) <= 1
         assert_same(exact(window, steps), (image, valid))
-        in_part[i % 2] += exact.report.network == "changed"
+        in_part[i % 2] += exact.cost.network == "changed"
     assert min(in_part) > 0  # of either kind, or nothing was tried

@@ -117,7 +117,7 @@ def test_a_kernel_that_does_not_build_shows_its_line(device, kernels):
     with pytest.raises(DeviceError, match="nowhere") as caught:
         build(device, "broken.cl", {"COUNT": 1, "FLAG": True, "NONE": None, "NO": False})
     assert "\n" not in str(caught.value)
-    assert "kernels/broken.cl (-cl-std=CL1.2 -D COUNT=1 -D FLAG)" in str(caught.value)
+    assert "kernels/broken.cl (-cl-std=CL1.2 -D COUNT=1 -D FLAG -cl-denorms-are-zero)" in str(caught.value)
     assert "nowhere" in caught.value.log
 
 

@@ -112,7 +112,7 @@ def stream(precision):
         frames[11].motion[2:4, 4:7], frames[11].stencil[2:4, 4:7] = 1.25, 1
         made = Stream(WEIGHTS, device, precision)
         images = [made(*call)[0] for call in calls_of(frames)[-3::2]]
-        assert made.report.network == "changed"
+        assert made.cost.network == "changed"
         return images
 
     return case

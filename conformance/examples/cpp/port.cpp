@@ -266,7 +266,7 @@ static Mask holes(const Image &motion, const Surface &previous, const Surface &c
         // Only the warped normal is divided by its length, and only after it was interpolated.
         const float length = std::sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]);
         const float cosine = (normal[0] * n[0] + normal[1] * n[1] + normal[2] * n[2]) / (length + 1e-5f);
-        const bool surface = length > 0.0f || normal[0] != 0.0f || normal[1] != 0.0f || normal[2] != 0.0f;
+        const bool surface = normal[0] != 0 || normal[1] != 0 || normal[2] != 0 || n[0] != 0 || n[1] != 0 || n[2] != 0;
         const bool moving = s != 0.0f && cosine < COSINE && surface;
         // s == 0 exactly, of the interpolated stencil: false at the edge of a moving object.
         const bool is_static = s == 0.0f && (test == HoleTest::paper ? is_far(previous.position, current.position.at(y, x), at, bias)
