@@ -256,6 +256,15 @@ def test_prepare_trusts_eight_pixels_only_where_it_trusts_each(device, test, inp
     assert_prepared(device, prepared(preparation, inputs), inputs, (16, 24), test=test)
 
 
+def test_a_normal_is_0_by_its_components(device):
+    """A square is 0 from 1e-23 on, where subnormal numbers are flushed from 1e-19: a surface must not become a background."""
+    inputs = edge((0.25, 0.25), 0)
+    inputs.normals[0], inputs.normals[1:] = 0, 1e-22
+    preparation = Prepare(device, 16, 24)
+    assert_prepared(device, prepared(preparation, inputs), inputs, (16, 24))
+    assert not downloaded(device, preparation.mask, (16, 24), np.uint8).any()
+
+
 @pytest.mark.parametrize("steps", [(0, 2, 4), (1, 3, 5), (1, 1, 1)])
 def test_prepare_sees_what_is_not_finite(device, steps):
     """In each plane of each array, in whole rows of eight and behind the last one, in one strip and in three; and forgets it."""
