@@ -2,7 +2,6 @@
 
 import gc
 import os
-import re
 from collections import Counter
 from pathlib import Path
 
@@ -55,26 +54,6 @@ def pytest_terminal_summary(terminalreporter):
         terminalreporter.section("left out")
     for reason, count in Counter(reason for _, reason in reasons).most_common():
         terminalreporter.line(f"{count:4} {reason}")
-
-
-@pytest.fixture(scope="session", autouse=True)
-def half_quickly():
-    """Kernels of processors that store half are compiled with loops as loops: in a third of the time.
-
-    Those of float32 are compiled as for users: the same loops, unrolled.
-    """
-    from stss_cl.device import program
-
-    made = program._stored_or_built
-
-    def quickly(device, text, options):
-        if device.is_cpu and "-D STORED=HALF" in options:
-            text = re.sub(r"^#pragma unroll$", "#pragma unroll 1", text, flags=re.MULTILINE)
-        return made(device, text, options)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(program, "_stored_or_built", quickly)
-        yield
 
 
 @pytest.fixture(scope="session")
