@@ -60,39 +60,39 @@ def find_live(weights: Tensors) -> Live:
     reads: dict[str, Mask] = {}
     for layer in LAYERS:
         arrays = [weights[name] for name, _ in layer.tensors()]
-        given = np.concatenate([np.tile(zero[read], times) for read, _, times in _parts(layer)])
-        kernels: list[Mask] = [kernel.any(axis=(2, 3)) & ~given for kernel in arrays[::2]]
+        zero_inputs = np.concatenate([np.tile(zero[source], times) for source, _, times in _parts(layer)])
+        kernels: list[Mask] = [kernel.any(axis=(2, 3)) & ~zero_inputs for kernel in arrays[::2]]
         none: Mask = arrays[1] <= 0 if layer.relu else arrays[1] == 0
         zero[layer.name] = none & ~kernels[0].any(axis=1)
         reads[layer.name] = (kernels[0] | kernels[-1]) & ~zero[layer.name][:, None]
         if layer.name in ATTENTION:
             zero["reshaded"] = zero[ATTENTION[0]] | zero.get(ATTENTION[1], zero["reshaded"]).all()
-    needed = {name: np.zeros(len(units), np.bool_) for name, units in zero.items()}
-    needed[LAYERS[-1].name][:] = True
+    needs = {name: np.zeros(len(units), np.bool_) for name, units in zero.items()}
+    needs[LAYERS[-1].name][:] = True
     live: dict[str, list[str]] = {}
     for layer in reversed(LAYERS):
-        columns: Mask = np.logical_or.reduce(reads[layer.name][needed[layer.name]], axis=0)
+        columns: Mask = np.logical_or.reduce(reads[layer.name][needs[layer.name]], axis=0)
         live[layer.name] = []
-        for read, first, times in _parts(layer):
-            units = columns[first : first + times * len(zero[read])].reshape(times, -1).any(axis=0)
-            needed[read] |= units
-            live[layer.name] += [read] if units.any() else []
-        if needed["reshaded"].any():
-            needed[ATTENTION[0]] |= needed["reshaded"]
-            needed[ATTENTION[1]] |= ~zero[ATTENTION[1]]
-    return _cut(weights, needed, live)
+        for source, first, times in _parts(layer):
+            units = columns[first : first + times * len(zero[source])].reshape(times, -1).any(axis=0)
+            needs[source] |= units
+            live[layer.name] += [source] if units.any() else []
+        if needs["reshaded"].any():
+            needs[ATTENTION[0]] |= needs["reshaded"]
+            needs[ATTENTION[1]] |= ~zero[ATTENTION[1]]
+    return _cut(weights, needs, live)
 
 
-def _cut(weights: Tensors, needed: Mapping[str, Mask], reads: Mapping[str, Collection[str]]) -> Live:
+def _cut(weights: Tensors, needs: Mapping[str, Mask], reads: Mapping[str, Collection[str]]) -> Live:
     """Cut out the groups without a live unit, and the inputs that a layer does not read."""
-    kept = {name: _in_groups(units) for name, units in needed.items()} | {n: np.ones(c, np.bool_) for n, c in SOURCES.items()}
-    kept["reshaded"] = kept[ATTENTION[0]]
+    masks = {name: _in_groups(units) for name, units in needs.items()} | {n: np.ones(c, np.bool_) for n, c in SOURCES.items()}
+    masks["reshaded"] = masks[ATTENTION[0]]
     varies = dict.fromkeys(SOURCES, True)
     layers: dict[str, Layer] = {}
     tensors: dict[str, Array] = {}
-    for layer in (each for each in LAYERS if needed[each.name].any()):
-        units, live = kept[layer.name], reads[layer.name]
-        columns = np.concatenate([np.tile(kept[read] & (read in live), times) for read, _, times in _parts(layer)])
+    for layer in (each for each in LAYERS if needs[each.name].any()):
+        units, live = masks[layer.name], reads[layer.name]
+        columns = np.concatenate([np.tile(masks[read] & (read in live), times) for read, _, times in _parts(layer)])
         varies[layer.name] = any(varies[read] for read in live)
         for name, shape in layer.tensors():
             rows = weights[name][units] if shape[0] == layer.outputs else weights[name]

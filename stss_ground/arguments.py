@@ -19,11 +19,11 @@ def require_kind(name: str, value: Any, kinds: type | tuple[type, ...], expected
         raise InputError(f"{name}: expected {expected}, got {type(value).__name__}")
 
 
-def require_choice(name: str, value: Any, known: Collection[str]) -> None:
+def require_choice(name: str, value: Any, choices: Collection[str]) -> None:
     """Raise InputError unless ``value`` is one of these words."""
-    if not isinstance(value, str) or value not in known:
-        found = repr(value) if isinstance(value, str) else type(value).__name__
-        raise InputError(f"{name}: expected one of {', '.join(known)}, got {found}")
+    if not isinstance(value, str) or value not in choices:
+        got = repr(value) if isinstance(value, str) else type(value).__name__
+        raise InputError(f"{name}: expected one of {', '.join(choices)}, got {got}")
 
 
 def path_of(name: str, value: Any) -> Path:

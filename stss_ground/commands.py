@@ -21,18 +21,18 @@ Sections = Mapping[str, Mapping[str, tuple[str, str]]]
 
 def places_of(ctx: click.Context) -> tuple[dict[str, Path], list[Path], list[Path]]:
     """The files of a command's parameters: option -> the file that it writes; the files that it reads; the folders that it writes into."""
-    written, read, made = dict[str, Path](), list[Path](), list[Path]()
+    outputs, inputs, folders = dict[str, Path](), list[Path](), list[Path]()
     for parameter in ctx.command.params:
         if (value := ctx.params.get(str(parameter.name))) is None:
             continue
         if isinstance(parameter.type, WrittenFile):
-            written[parameter.opts[-1]] = value
+            outputs[parameter.opts[-1]] = value
         elif isinstance(parameter.type, WrittenFolder):
-            made.append(value)
+            folders.append(value)
         elif isinstance(parameter.type, (ReadPath, ReadName)):
             several = value if getattr(parameter, "multiple", False) or parameter.nargs != 1 else [value]
-            read += [place for each in several for place in parameter.type.reads(each)]
-    return written, read, made
+            inputs += [place for each in several for place in parameter.type.reads(each)]
+    return outputs, inputs, folders
 
 
 class Commands(click.Group):
@@ -92,8 +92,8 @@ class Subcommand(click.Command):
         Raises:
             InputError: it is.
         """
-        written, read, made = places_of(ctx)
-        require_places(written, read, made=made)
+        outputs, inputs, folders = places_of(ctx)
+        require_places(outputs, inputs, new_folders=folders)
         return super().invoke(ctx)
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:

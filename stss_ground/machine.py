@@ -38,13 +38,13 @@ def available_threads() -> int:
 
 def versions(names: tuple[str, ...]) -> dict[str, str]:
     """The version of each distribution in ``names`` that is installed."""
-    found: dict[str, str] = {}
+    installed: dict[str, str] = {}
     for name in names:
         try:
-            found[name] = version(name)
+            installed[name] = version(name)
         except PackageNotFoundError:
             continue
-    return found
+    return installed
 
 
 def conditions(packages: tuple[str, ...]) -> dict[str, Any]:

@@ -56,9 +56,9 @@ def require_own_conformance() -> None:
     ours = _own_conformance()
     spec = importlib.util.find_spec("conformance")
     places = [*(spec.submodule_search_locations or ()), spec.origin] if spec is not None else [None]
-    found = places[0]
-    if found is None or Path(found).resolve() != ours / "conformance":
+    place = places[0]
+    if place is None or Path(place).resolve() != ours / "conformance":
         raise InputError(
-            f"conformance: expected the package in {ours}, found {found or 'none'}: put {ours} first in PYTHONPATH, "
+            f"conformance: expected the package in {ours}, found {place or 'none'}: put {ours} first in PYTHONPATH, "
             "or install stss into an environment of its own"
         )

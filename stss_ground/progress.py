@@ -44,23 +44,23 @@ def show_progress(
     Yields:
         The function to call whenever something is done.
     """
-    start, count, shown, ended = time.monotonic(), 0, text, Event()
+    start, count, label, ended = time.monotonic(), 0, text, Event()
 
     def report() -> None:
         while not ended.wait(every):
             took = time.monotonic() - start
             rate = count / took
-            left = f", {rate:.2f} {unit}/s, {timedelta(seconds=round((total - count) / rate))} left" if count else ""
+            pace = f", {rate:.2f} {unit}/s, {timedelta(seconds=round((total - count) / rate))} left" if count else ""
             # With the time so far no two lines are equal: who reads the log sees that it goes on.
-            line = f"{count} of {total} {unit} in {timedelta(seconds=round(took))}{left}" + (f": {shown}" if shown else "")
+            line = f"{count} of {total} {unit} in {timedelta(seconds=round(took))}{pace}" + (f": {label}" if label else "")
             console.print(line, soft_wrap=True, markup=False, highlight=False)
 
     with _bar(console, unit) as bar:
         task = bar.add_task(text, total=total)
 
         def advance(text: str = "", *, done: int = 1) -> None:
-            nonlocal count, shown
-            count, shown = count + done, text
+            nonlocal count, label
+            count, label = count + done, text
             bar.update(task, advance=done, description=text)
 
         lines = None if console.is_terminal else Thread(target=report, daemon=True)
@@ -78,15 +78,15 @@ def show_progress(
 def show_steps(console: Console, total: int) -> Generator[Callable[[str], None], None, None]:
     """As `show_progress`, of ``total`` steps; yields the function to call with the name of each step as it begins."""
     with show_progress(console, total, "steps") as advance:
-        begun = 0
+        count = 0
 
         def begin(text: str) -> None:
-            nonlocal begun
-            advance(text, done=min(begun, 1))
-            begun += 1
+            nonlocal count
+            advance(text, done=min(count, 1))
+            count += 1
 
         yield begin
-        advance(done=min(begun, 1))
+        advance(done=min(count, 1))
 
 
 def track(items: Sequence[T], console: Console, unit: str = "frames", text: str = "") -> Iterator[T]:

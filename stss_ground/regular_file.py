@@ -65,9 +65,9 @@ def read_json(path: Path, most: int) -> Any:
 
 def require_regular(path: Path) -> int:
     """Raise OSError unless ``path`` is a regular file; returns its size in bytes."""
-    found = path.stat()
-    _require_regular(path, found.st_mode)
-    return found.st_size
+    status = path.stat()
+    _require_regular(path, status.st_mode)
+    return status.st_size
 
 
 def _require_regular(path: Path, mode: int) -> None:

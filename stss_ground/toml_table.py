@@ -54,8 +54,8 @@ class Table:
 
     def fail(self, key: str, expected: str, value: object) -> Exception:
         """The error to raise for a key."""
-        shown = "nothing" if value is None else _shown(value)
-        return self.error(f"{self.path}: {self.prefix}{key}: expected {expected}, found {shown}")
+        got = "nothing" if value is None else _shown(value)
+        return self.error(f"{self.path}: {self.prefix}{key}: expected {expected}, found {got}")
 
     def take(self, key: str, expected: str, kind: type | tuple[type, ...]) -> Any:
         """The value of a key, of the given type."""
@@ -81,10 +81,10 @@ class Table:
     def number(self, key: str, *, positive: bool = False, infinite: bool = False) -> float:
         """The value of a key that must be a number, finite unless ``infinite``."""
         expected = "a number > 0" if positive else "a number"
-        found = self.take(key, expected, (int, float))
-        value = _float(found)
+        number = self.take(key, expected, (int, float))
+        value = _float(number)
         if not (math.isfinite(value) or (infinite and math.isinf(value))) or (positive and value <= 0):
-            raise self.fail(key, expected, found)
+            raise self.fail(key, expected, number)
         return value
 
     def numbers(self, key: str, count: int) -> tuple[float, ...]:

@@ -88,9 +88,9 @@ def bench_command(
     if pareto:
         from stss_lab.bench import pareto as bench_pareto
 
-        found = bench_pareto.bench_pareto(setups, scenes, bench_pareto.chosen_settings(settings), frames, console)
+        points = bench_pareto.bench_pareto(setups, scenes, bench_pareto.chosen_settings(settings), frames, console)
         if json_file is not None:
-            write_named(json_file, bench_pareto.to_json(found, setups[0], identity(tensors)))
+            write_named(json_file, bench_pareto.to_json(points, setups[0], identity(tensors)))
         return
     with show_steps(console, count_steps(setups, ours, peers, repeat)) as begin:
         results = run_bench(setups, ours, peers, repeat, on_step=begin)

@@ -73,24 +73,24 @@ def methods_command(
     from stss_lab.methods import methods_table as method_table
     from stss_lab.methods.methods_page import methods_page
 
-    shown = partial(track, console=Terminal(stderr=True))
+    bar = partial(track, console=Terminal(stderr=True))
     constants: dict[str, Any] = {"camera": camera, "metallic": metallic, "roughness": roughness, "non_finite": non_finite}
     constants["background"] = background
-    files = open_sequence(sequence, profile, **constants, track=shown)
+    files = open_sequence(sequence, profile, **constants, track=bar)
     reads = [Path(weights), *([*truth.iterdir()] if truth.is_dir() else [])]
     options = RunOptions.of(files.profile, frames=frames, overwrite=overwrite, **others)
-    chosen = method_table.choose_methods(methods, weights)
-    loaded = choose_weights(weights, files, partial(echo, err=True), needed=NETWORK in chosen)
-    folders = [*(folder_of(out / method) for method in chosen), *([] if html is None else [page_folder(html)])]
+    names = method_table.choose_methods(methods, weights)
+    loaded = choose_weights(weights, files, partial(echo, err=True), needed=NETWORK in names)
+    folders = [*(folder_of(out / method) for method in names), *([] if html is None else [page_folder(html)])]
     require_places({"--html": html}, [*files.tables, *reads], folders=folders, inputs=files.images)
     console = Terminal(stderr=True)
     first, last = options.frames or (files.numbers[0], files.numbers[-1])
-    with show_progress(console, 2 * len(chosen) * (last - first + 1)) as advance:
+    with show_progress(console, 2 * len(names) * (last - first + 1)) as advance:
         results = method_table.run_methods(
             files,
             truth,
             out,
-            chosen,
+            names,
             lambda method: open_method(method, loaded, backend, compute, tell=partial(echo, err=True)),
             options,
             flip=flip,
@@ -99,7 +99,7 @@ def methods_command(
             reads=reads,
         )
     if html is not None:
-        methods_page(html, results, truth, files, frames, shown)
+        methods_page(html, results, truth, files, frames, bar)
     if as_json:
         click.echo(method_table.to_json(results))
     else:

@@ -52,13 +52,13 @@ def parts_command(
     from stss_lab.methods import parts as table
 
     constants: dict[str, Any] = {"camera": camera, "metallic": metallic, "roughness": roughness, "non_finite": non_finite}
-    shown = partial(track, console=Terminal(stderr=True))
-    files = open_sequence(sequence, profile, background=background, **constants, track=shown)
-    options, chosen = RunOptions.of(files.profile, **others), parts or table.PARTS
+    bar = partial(track, console=Terminal(stderr=True))
+    files = open_sequence(sequence, profile, background=background, **constants, track=bar)
+    options, names = RunOptions.of(files.profile, **others), parts or table.PARTS
     loaded = [load(name) for name in weights]
     first, last = options.frames or (files.numbers[0], files.numbers[-1])
-    with show_progress(Terminal(stderr=True), 2 * len(loaded) * (1 + len(chosen)) * (last - first + 1)) as advance:
-        results = table.take_away(files, truth, out, loaded, chosen, options, on_frame=advance)
+    with show_progress(Terminal(stderr=True), 2 * len(loaded) * (1 + len(names)) * (last - first + 1)) as advance:
+        results = table.take_away(files, truth, out, loaded, names, options, on_frame=advance)
     if as_json:
         click.echo(table.to_json(results))
     else:

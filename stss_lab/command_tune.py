@@ -18,4 +18,4 @@ def tune(device: str | None, size: tuple[int, int]) -> None:
     """Find the fastest tile sizes for a device and store them."""
     from stss_lab.tune import tune as tuning
 
-    tuning.run(device, size, console=Terminal(), told=Terminal(stderr=True))
+    tuning.run(device, size, console=Terminal(), log=Terminal(stderr=True))

@@ -87,8 +87,8 @@ def require(
 def require_choice(name: str, value: object, choices: Collection[str]) -> None:
     """Raise ArrayError unless ``value`` is one of the words."""
     if not isinstance(value, str) or value not in choices:
-        found = repr(value) if isinstance(value, str) else type(value).__name__
-        raise ArrayError(f"{name}: expected {' or '.join(choices)}, got {found}")
+        got = repr(value) if isinstance(value, str) else type(value).__name__
+        raise ArrayError(f"{name}: expected {' or '.join(choices)}, got {got}")
 
 
 def require_shape(name: str, array: Shaped, shape: tuple[int | None, ...]) -> None:
@@ -99,8 +99,8 @@ def require_shape(name: str, array: Shaped, shape: tuple[int | None, ...]) -> No
         got == want if want is not None else got >= 1 for got, want in zip(array.shape, shape, strict=True)
     )
     if not fits:
-        expected = "(" + ", ".join("any" if n is None else str(n) for n in shape) + ("," if len(shape) == 1 else "") + ")"
-        raise ArrayError(f"{name}: expected shape {expected}, got {array.shape}")
+        wanted_shape = "(" + ", ".join("any" if n is None else str(n) for n in shape) + ("," if len(shape) == 1 else "") + ")"
+        raise ArrayError(f"{name}: expected shape {wanted_shape}, got {array.shape}")
 
 
 def require_dtype(name: str, array: Shaped, dtype: np.dtype[Any]) -> None:

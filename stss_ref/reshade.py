@@ -85,8 +85,8 @@ def reshade(
     is_source[y[has], x[has]] = True
     y, x = y[~has], x[~has]
     sums, totals = like_sums(filled, is_source, stencil, normal, base_color, y, x)
-    found = totals > 0
-    filled[y[found], x[found]] = sums[found] / totals[found, None]
+    has_source = totals > 0
+    filled[y[has_source], x[has_source]] = sums[has_source] / totals[has_source, None]
     return filled
 
 

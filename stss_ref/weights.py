@@ -136,10 +136,10 @@ ATTENTION = ("latentEncoder.4", "KEncoder.4")
 """The layers that the attention reads, besides the mask."""
 
 
-def _down(name: str, read: str, inputs: int, outputs: int, divisor: int) -> tuple[Layer, ...]:
+def _down(name: str, source: str, inputs: int, outputs: int, divisor: int) -> tuple[Layer, ...]:
     strided, first = f"{name}.downsample", f"{name}.conv1"
     return (
-        Layer(strided, (read,), inputs, inputs, "backbone", divisor, stride=2, gated=True, relu=False),
+        Layer(strided, (source,), inputs, inputs, "backbone", divisor, stride=2, gated=True, relu=False),
         Layer(first, (strided,), inputs, outputs, "backbone", divisor, gated=True),
         Layer(f"{name}.conv2", (first,), outputs, outputs, "backbone", divisor, gated=True),
     )
@@ -153,9 +153,9 @@ def _up(name: str, reads: tuple[str, ...], inputs: int, middle: int, outputs: in
     )
 
 
-def _history(name: str, read: str, inputs: int, outputs: int, divisor: int) -> tuple[Layer, ...]:
+def _history(name: str, source: str, inputs: int, outputs: int, divisor: int) -> tuple[Layer, ...]:
     return (
-        Layer(f"{name}.0", (read,), inputs, outputs, "history", divisor, stride=2, repeats=3),
+        Layer(f"{name}.0", (source,), inputs, outputs, "history", divisor, stride=2, repeats=3),
         Layer(f"{name}.2", (f"{name}.0",), outputs, outputs, "history", divisor, repeats=3),
         Layer(f"{name}.4", (f"{name}.2",), outputs, outputs, "history", divisor, repeats=3),
     )

@@ -126,15 +126,15 @@ class Inputs:
 
 def inputs_for(device: Device, rows: int, columns: int, dtype: np.dtype[Any], changes: bool = False) -> Inputs:
     """Allocate the network's inputs for (rows, columns), multiples of 8: a frame, or a strip of it; with change maps or without."""
-    made = (
+    images = (
         padded(device, rows, columns, 24, dtype),
         padded(device, rows, columns, 4, dtype, images=3),
         padded(device, rows // 8, columns // 8, 16, dtype),
     )
     base = cl.Buffer(device.context, FLAGS.READ_WRITE, rows * columns * 16)
-    maps = Parts(device, [map_bytes(image.height, image.width, image.images) for image in made]) if changes else None
+    maps = Parts(device, [map_bytes(image.height, image.width, image.images) for image in images]) if changes else None
     marks = (None, None, None) if maps is None else maps.buffers
-    input_, earlier, eighth = (replace(image, changes=map_) for image, map_ in zip(made, marks, strict=True))
+    input_, earlier, eighth = (replace(image, changes=map_) for image, map_ in zip(images, marks, strict=True))
     return Inputs(input_, earlier, eighth, base, maps)
 
 

@@ -106,7 +106,7 @@ class Properties:
         if self.is_cpu or not self.is_gpu:
             return ""
         vendor = str(self.handle.vendor).lower()
-        return next((name for name, told in MAKERS.items() if any(part in vendor for part in told)), "")
+        return next((name for name, marks in MAKERS.items() if any(part in vendor for part in marks)), "")
 
     @property
     def has_fp16(self) -> bool:
@@ -212,13 +212,13 @@ def is_gpu(handle: cl.Device) -> bool:
 
 
 def _class_of(handle: cl.Device, named: str | None) -> DeviceClass:
-    what, wanted = ("device_class", named) if named is not None else ("STSS_DEVICE_CLASS", os.environ.get("STSS_DEVICE_CLASS"))
-    if wanted is None:
+    what, word = ("device_class", named) if named is not None else ("STSS_DEVICE_CLASS", os.environ.get("STSS_DEVICE_CLASS"))
+    if word is None:
         return "cpu" if handle.type & cl.device_type.CPU else "gpu"
-    for known in CLASSES:
-        if wanted == known:
-            return known
-    raise DeviceError(f"{what}: expected one of {', '.join(CLASSES)}, got {wanted!r}")
+    for each in CLASSES:
+        if word == each:
+            return each
+    raise DeviceError(f"{what}: expected one of {', '.join(CLASSES)}, got {word!r}")
 
 
 def find_devices() -> list[cl.Device]:
@@ -249,11 +249,11 @@ def find_devices() -> list[cl.Device]:
 
 def name_devices() -> dict[str, cl.Device]:
     """Every device of ``find_devices()`` by a unique name: of equal names the second gets the suffix `` #2``, and so on."""
-    seen: Counter[str] = Counter()
+    counts: Counter[str] = Counter()
     devices: dict[str, cl.Device] = {}
     for handle in find_devices():
-        seen[name := full_name(handle)] += 1
-        devices[name if seen[name] == 1 else f"{name} #{seen[name]}"] = handle
+        counts[name := full_name(handle)] += 1
+        devices[name if counts[name] == 1 else f"{name} #{counts[name]}"] = handle
     return devices
 
 
@@ -268,11 +268,11 @@ def matching(name: str | None) -> dict[str, cl.Device]:
     devices = name_devices()
     if not devices:
         raise DeviceError(no_device())
-    wanted = "" if name is None else _one_line(name).lower()
+    part = "" if name is None else _one_line(name).lower()
     for fitting in (
-        {n: h for n, h in devices.items() if n.lower() == wanted},
-        {n: h for n, h in devices.items() if wanted in n.lower()},
-        {n: h for n, h in devices.items() if wanted in h.platform.version.lower()},
+        {n: h for n, h in devices.items() if n.lower() == part},
+        {n: h for n, h in devices.items() if part in n.lower()},
+        {n: h for n, h in devices.items() if part in h.platform.version.lower()},
     ):
         if fitting:
             return fitting

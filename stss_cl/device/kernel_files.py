@@ -57,14 +57,14 @@ def mend(folder: Path) -> None:
     boot = (read(BOOT, 64) or b"").decode()
     whole, damaged = 0, 0
     for name, entry in _files(folder):
-        known, state = listed.get(name), _state(entry, boot)
-        if known is not None and known.state == state != "-":
-            files[name] = known
+        record, state = listed.get(name), _state(entry, boot)
+        if record is not None and record.state == state != "-":
+            files[name] = record
             continue
         data = read(Path(entry.path), MOST_BYTES) or b""
-        if known is not None and known.digest == hashlib.sha256(data).hexdigest():
-            files[name] = Known(known.digest, state)
-        elif known is None and is_whole(Path(name).suffix, data):
+        if record is not None and record.digest == hashlib.sha256(data).hexdigest():
+            files[name] = Known(record.digest, state)
+        elif record is None and is_whole(Path(name).suffix, data):
             whole += 1
         elif not (used and _written(entry) > now - YOUNG):
             Path(entry.path).unlink(missing_ok=True)
@@ -137,11 +137,11 @@ def _object_ends(data: bytes) -> bool:
     return 0 < sections + size * number <= len(data)
 
 
-def _remember(folder: Path, known: set[str], boot: str) -> None:
+def _remember(folder: Path, listed: set[str], boot: str) -> None:
     """Add the files that have come since to the list, which another process may have changed."""
     new: dict[str, Known] = {}
     for name, entry in _files(folder):
-        if name not in known:
+        if name not in listed:
             state = _state(entry, boot)
             data = read(Path(entry.path), MOST_BYTES)
             if data and is_whole(Path(name).suffix, data):
@@ -175,5 +175,5 @@ def _read(folder: Path) -> dict[str, Known]:
     return {match[3]: Known(match[1], match[2]) for line in text.splitlines() if (match := _LINE.fullmatch(line))}
 
 
-def _write(folder: Path, known: Mapping[str, Known]) -> None:
-    store(folder / SUMS, "".join(f"{digest} {state} {name}\n" for name, (digest, state) in sorted(known.items())).encode())
+def _write(folder: Path, files: Mapping[str, Known]) -> None:
+    store(folder / SUMS, "".join(f"{digest} {state} {name}\n" for name, (digest, state) in sorted(files.items())).encode())

@@ -92,9 +92,9 @@ class Kernel:
         missing = self._open
         unset = {name: None if name in self._places and self._places[name][1].endswith("*") else 0 for name in missing}
         self.set(**{**unset, **nothing})
-        done = self.enqueue(queue, size, group)
+        event = self.enqueue(queue, size, group)
         self._open = missing
-        return done
+        return event
 
     def _typed(self, name: str, value: Any, kind: str) -> Any:
         """``value`` in the type that the kernel takes."""

@@ -32,7 +32,7 @@ def provide() -> None:
     Raises:
         DeviceError: ``$STSS_LINKER`` is neither ``own`` nor ``system``, or there is no place for the program.
     """
-    if not needed():
+    if not is_needed():
         return
     text = f'#!/bin/sh\nexec {shlex.quote(sys.executable)} -I -S {shlex.quote(str(PROGRAM))} "$@"\n'.encode()
     folder = private("linker", hashlib.sha256(text).hexdigest()[:16])
@@ -44,7 +44,7 @@ def provide() -> None:
         os.environ["PATH"] = f"{folder}{os.pathsep}{places}"
 
 
-def needed() -> bool:
+def is_needed() -> bool:
     """Whether PoCL could not link: there is no ``ld``, or not what it asks ``ld`` for; ``$STSS_LINKER`` decides otherwise."""
     named = os.environ.get("STSS_LINKER")
     if named not in (None, *CHOICES):

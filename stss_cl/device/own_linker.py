@@ -77,7 +77,7 @@ class Relocatable(NamedTuple):
         """The symbol's name."""
         return _text(self.strings, symbol.name)
 
-    def kept(self, section: Section) -> bool:
+    def is_loaded(self, section: Section) -> bool:
         """Whether it is a part of the shared object. Frame tables are not: no exception passes a kernel."""
         return section.kind == PROGRAM_BITS and bool(section.flags & ALLOCATED) and _text(self.names, section.name) != ".eh_frame"
 
@@ -107,15 +107,15 @@ def _parse(data: bytes) -> Relocatable:
 
 
 def _link(source: Relocatable) -> bytes:
-    kept = {i: section for i, section in enumerate(source.sections) if source.kept(section)}
-    contents = {i: _bytes(source.data, section) for i, section in kept.items()}
+    sections = {i: section for i, section in enumerate(source.sections) if source.is_loaded(section)}
+    contents = {i: _bytes(source.data, section) for i, section in sections.items()}
     for section in source.sections:
         if section.flags & ALLOCATED and section.flags & WRITABLE and section.size:
             raise LinkError("expected no data that can be written to")
-    exported = [symbol for symbol in source.symbols if symbol.info >> 4 and symbol.section in kept]
+    exported = [symbol for symbol in source.symbols if symbol.info >> 4 and symbol.section in sections]
     names = bytearray(1)
     table = bytearray(SYMBOL.size)
-    places = _places(HEADER.size + 4 * SEGMENT.size, exported, source, kept)
+    places = _places(HEADER.size + 4 * SEGMENT.size, exported, source, sections)
     for symbol in exported:
         address = places.sections[symbol.section] + symbol.value
         table += SYMBOL.pack(len(names), symbol.info, symbol.other, 1, address, symbol.size)
@@ -158,13 +158,13 @@ class Places(NamedTuple):
     dynamic: int
 
 
-def _places(first: int, exported: Sequence[Symbol], source: Relocatable, kept: dict[int, Section]) -> Places:
+def _places(first: int, exported: Sequence[Symbol], source: Relocatable, parts: dict[int, Section]) -> Places:
     count = len(exported) + 1
     names = 1 + sum(len(source.name(symbol).encode()) + 1 for symbol in exported)
     sizes = (SYMBOL.size * count, names + -names % 8, 4 * (3 + count))
     symbols, strings, chains, end = accumulate(sizes, initial=first)
     sections: dict[int, int] = {}
-    for i, section in kept.items():
+    for i, section in parts.items():
         alignment = max(section.alignment, 1)
         if alignment > PAGE:
             raise LinkError(f"expected an alignment of {PAGE} at most, got {alignment}")

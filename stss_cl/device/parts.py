@@ -58,9 +58,9 @@ class Parts:
 
     def read(self, queue: cl.CommandQueue | None = None) -> list[NDArray[np.uint8]]:
         """The bytes of each; one read, which waits for the ``queue``, or for the device's own."""
-        held: NDArray[Any] = np.empty(self.firsts[-1], np.uint8)
-        cl.enqueue_copy(self._device.queue if queue is None else queue, held, self.whole)
-        return [held[first : first + size] for first, size in self._places()]
+        host: NDArray[Any] = np.empty(self.firsts[-1], np.uint8)
+        cl.enqueue_copy(self._device.queue if queue is None else queue, host, self.whole)
+        return [host[first : first + size] for first, size in self._places()]
 
     def _places(self) -> list[tuple[int, int]]:
         return list(zip(self.firsts, self._sizes, strict=False))

@@ -36,7 +36,7 @@ _named: dict[int, ctypes.Array[ctypes.c_char]] = {}
 def substitute() -> str:
     """A name for this processor where its own is not known; "" on a system that cannot list its instructions."""
     flags = cpu_flags()
-    return next(name for name, needed in KNOWN if flags >= needed) if flags and sys.platform == "linux" else ""
+    return next(name for name, required in KNOWN if flags >= required) if flags and sys.platform == "linux" else ""
 
 
 def name_processor(handle: cl.Device) -> None:
@@ -63,7 +63,7 @@ class _Piece(ctypes.Structure):
 
 def _read(address: int, size: int) -> bytes:
     """Memory of this process through the system, which refuses what is not there: then it is empty."""
-    held = ctypes.create_string_buffer(size)
-    pieces = (ctypes.byref(_Piece(where, size)) for where in (ctypes.addressof(held), address))
+    buffer = ctypes.create_string_buffer(size)
+    pieces = (ctypes.byref(_Piece(where, size)) for where in (ctypes.addressof(buffer), address))
     got = ctypes.CDLL(None).process_vm_readv(os.getpid(), next(pieces), 1, next(pieces), 1, 0)
-    return held.raw if got == size else b""
+    return buffer.raw if got == size else b""

@@ -53,8 +53,8 @@ class Program:
         structs: struct -> members with their types, in order, of those that have only numbers.
     """
 
-    def __init__(self, built: cl.Program, text: str, options: str):
-        self.built, self.structs = built, signatures.structs(text)
+    def __init__(self, program: cl.Program, text: str, options: str):
+        self.built, self.structs = program, signatures.structs(text)
         self._text, self._defined = text, set(re.findall(r"-D (\w+)", options))
         self._arguments: dict[str, list[tuple[str, str]]] = {}
 
@@ -86,10 +86,10 @@ def build(device: Device, file: str, options: Mapping[str, object] | None = None
     key = (file, " ".join(option for option in together if option))
     device.require_same_process()
     with _building:
-        built = _programs.setdefault(device, {})
-        if key not in built:
-            built[key] = _build(device, file, key[1])
-        return built[key]
+        programs = _programs.setdefault(device, {})
+        if key not in programs:
+            programs[key] = _build(device, file, key[1])
+        return programs[key]
 
 
 def marking(device: Device, marks: bool) -> Mapping[str, object]:
@@ -97,7 +97,7 @@ def marking(device: Device, marks: bool) -> Mapping[str, object]:
     return {} if device.kind == "CPU" else {"MARK": int(marks)}
 
 
-def built(device: Device) -> Mapping[tuple[str, str], Program]:
+def programs_of(device: Device) -> Mapping[tuple[str, str], Program]:
     """The programs built for this device so far, by file and options, in order."""
     return dict(_programs.get(device, {}))
 
@@ -107,12 +107,12 @@ def source(file: str) -> str:
 
     Caches of binaries do not check included files, so a program must be a single text.
     """
-    seen: set[str] = set()
+    names: set[str] = set()
 
     def expand(name: str) -> str:
-        if name in seen:
+        if name in names:
             return ""
-        seen.add(name)
+        names.add(name)
         text = (KERNELS / name).read_text(encoding="utf-8")
         return re.sub(r'^#include "([\w.]+)"$', lambda match: expand(match[1]), text, flags=re.MULTILINE)
 
@@ -154,9 +154,9 @@ def _stored_or_built(device: Device, text: str, options: str) -> Program:
         return Program(cl.Program(device.context, text).build(options), text, options)
     what = json.dumps([device.name, device.driver, device.platform_version, options, text])
     path = private("binaries") / hashlib.sha256(what.encode()).hexdigest()
-    stored = read(path, MOST_BINARY) or b""
-    binary = stored[DIGEST:]
-    if binary and hashlib.sha256(binary).digest() == stored[:DIGEST]:  # a driver may end the process where its binary is damaged
+    data = read(path, MOST_BINARY) or b""
+    binary = data[DIGEST:]
+    if binary and hashlib.sha256(binary).digest() == data[:DIGEST]:  # a driver may end the process where its binary is damaged
         with suppress(cl.Error):  # a driver may refuse its own binary; then the program is built anew
             return Program(cl.Program(device.context, [device.handle], [binary]).build(options), text, options)
     program = cl.Program(device.context, text).build(options)
@@ -170,8 +170,8 @@ def _fault(log: str, text: str) -> str:
     # Clang writes file:line:column: error: what, PoCL 3.0 error: file:line:column: what
     at = re.search(r":(\d+):\d+: error: (.*)|error: .*?:(\d+):\d+: (.*)", log)
     if not at:
-        said = [line.strip() for line in log.splitlines() if line.strip() and not line.startswith(("Build on", "(options"))]
-        return said[1] if len(said) > 1 else said[0]  # the first says only that the build failed
+        messages = [line.strip() for line in log.splitlines() if line.strip() and not line.startswith(("Build on", "(options"))]
+        return messages[1] if len(messages) > 1 else messages[0]  # the first says only that the build failed
     line, what = int(at[1] or at[3]), at[2] or at[4]
     lines = text.splitlines()
     return f"{what}: {lines[line - 1].strip()}" if 0 < line <= len(lines) else what

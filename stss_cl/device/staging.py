@@ -59,11 +59,11 @@ class Staging:
         """Page-locked memory for the caller: it serves again once the caller has dropped it and all its views."""
         count = math.prod(shape)
         locked = self._take(dtype.itemsize * count)
-        held: Any = locked
-        made = np.frombuffer(memoryview(held), dtype, count).reshape(shape)
-        whole: Any = made.base
+        memory: Any = locked
+        array = np.frombuffer(memoryview(memory), dtype, count).reshape(shape)
+        whole: Any = array.base
         weakref.finalize(whole, self._give_back, locked).atexit = False
-        return made
+        return array
 
     def _take(self, size: int) -> NDArray[np.uint8]:
         free = self._free.setdefault(size, [])

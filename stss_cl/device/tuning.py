@@ -83,8 +83,8 @@ class Tuning:
         return replace(row, eights_held=_most_held(row.eights_held, outputs // 8))
 
 
-def _most_held(held: int, blocks: int) -> int:
-    return max(n for n in range(1, held + 1) if blocks % n == 0)
+def _most_held(most: int, blocks: int) -> int:
+    return max(n for n in range(1, most + 1) if blocks % n == 0)
 
 
 _trial: ContextVar[Tuning | None] = ContextVar("_trial", default=None)
@@ -224,7 +224,7 @@ def _tuning(table: Table, like: Tuning | None = None) -> Tuning:
         return None if key not in table.rest and (like is not None or key == "winograd") else table.table(key)
 
     winograd, direct = sizes("winograd"), sizes("direct")
-    found = Tuning(
+    row = Tuning(
         winograd={n: _winograd(winograd.table(str(n)), n) for n in OUTPUTS} if winograd else like and like.winograd,
         direct={n: _direct(direct.table(str(n)), n) for n in OUTPUTS} if direct else like.direct if like else {},
         local=_local(table.table("local")) if "local" in table.rest else like and like.local,
@@ -232,7 +232,7 @@ def _tuning(table: Table, like: Tuning | None = None) -> Tuning:
     for each in (table, direct, winograd):
         if each is not None:
             each.end()
-    return found
+    return row
 
 
 def _winograd(table: Table, outputs: int) -> Winograd:
@@ -243,23 +243,23 @@ def _winograd(table: Table, outputs: int) -> Winograd:
     if vector > 8 and tiles % 2:
         raise table.fail("tiles", f"an even number where vectors have {vector} lanes", tiles)
     blocks = ceil_div(outputs, vector)
-    found = Winograd(tiles, tiles_held, table.whole("vectors_held", blocks, divides=blocks), vector)
+    row = Winograd(tiles, tiles_held, table.whole("vectors_held", blocks, divides=blocks), vector)
     table.end()
-    return found
+    return row
 
 
 def _direct(table: Table, outputs: int) -> Direct:
     pixels = table.whole("pixels", TILE, divides=TILE)
     eights_held = table.whole("eights_held", outputs // 8, divides=outputs // 8)
-    found = Direct(pixels, eights_held, table.whole("group", MOST_GROUP))
+    row = Direct(pixels, eights_held, table.whole("group", MOST_GROUP))
     table.end()
-    return found
+    return row
 
 
 def _local(table: Table) -> Local:
-    found = Local(table.whole("rows", MOST_ROWS), table.flag("matrix_units"))
+    row = Local(table.whole("rows", MOST_ROWS), table.flag("matrix_units"))
     table.end()
-    return found
+    return row
 
 
 def _read(path: Path) -> Table:

@@ -135,7 +135,7 @@ class Prepare:
             "is_missing": False, "checks": False, "stores": self._stores, "marks_wanted": False, "image": 2,
             "reads_middle": False, "reads_oldest": False,
         }  # fmt: skip
-        written = {"history": inputs.earlier.data, "bad": self._bad, "dirty": dirty}
+        outputs = {"history": inputs.earlier.data, "bad": self._bad, "dirty": dirty}
         newest = {"x0": inputs.input.data, "color3": inputs.base, "mask": self.mask, "splat": self.splat}
         marked = {"changes": maps}
         small = {
@@ -156,8 +156,8 @@ class Prepare:
         return _Launches(
             chain=launch("chain_steps", *whole, {"motions": self._motions, "dirty": dirty}, size),
             colors=(
-                launch("prepare_newest", *part, written, newest, marked, task),
-                *(launch("prepare_older", *part, written, marked, task, {"image": image}) for image in (1, 0) if self._stores),
+                launch("prepare_newest", *part, outputs, newest, marked, task),
+                *(launch("prepare_older", *part, outputs, marked, task, {"image": image}) for image in (1, 0) if self._stores),
             ),
             search=search,
             fill=launch("fill_holes", *part, newest, marked, {"samples": self._samples}, task),
@@ -189,18 +189,18 @@ class Prepare:
         Raises:
             ArrayError: shapes, dtypes or steps are not a frame's.
         """
-        chosen, size, device, read = check_steps(steps), (self.height, self.width), self.device, self._frames
+        distances, size, device, frames = check_steps(steps), (self.height, self.width), self.device, self._frames
         surfaces = 4 if self._stores else 2
         if self._done is not None:
             self._done.wait()  # until then the last frame's arrays are in use
-        far = chosen[read - 1]
+        far = distances[frames - 1]
         sources = Sources(
-            steps=chosen,
-            colors=planes(device, "colors", colors, read, (*size, 3), stack=3),
+            steps=distances,
+            colors=planes(device, "colors", colors, frames, (*size, 3), stack=3),
             motions=planes(device, "motions", motions, far, (*size, 2), stack=None) if far else (),
             gbuffer=upload(device, "gbuffer", gbuffer, (*size, 9)),
             nov=upload(device, "nov", nov, size),
-            stencils=planes(device, "stencils", stencils, read + 1, size, stack=4),
+            stencils=planes(device, "stencils", stencils, frames + 1, size, stack=4),
             normals=planes(device, "normals", normals, surfaces, (*size, 3), stack=4),
             positions=planes(device, "positions", positions, surfaces, (*size, 3), stack=4),
         )
@@ -222,18 +222,18 @@ class Prepare:
         # A chain of one motion is that motion. With change maps it is written all the same: a later frame may read it.
         is_chain = changes is not None or self._frames > 1 or s.steps[0] > 1
         if any(steps.values()) and is_chain:
-            held = (*s.motions, *MOST_STEPS * s.motions[-1:])  # the last stands for those that no step needs
-            launches.chain.set(**dict(zip(MOTIONS, held, strict=False)), **steps)
+            chain = (*s.motions, *MOST_STEPS * s.motions[-1:])  # the last stands for those that no step needs
+            launches.chain.set(**dict(zip(MOTIONS, chain, strict=False)), **steps)
             launches.chain.enqueue(self.device.queue)
         motions = self._motions if is_chain or not s.steps[0] else s.motions[0]
-        shown = {
+        surface = {
             "gbuffer": s.gbuffer, "nov": s.nov, "stencil": s.stencils[0], "normal": s.normals[0], "position": s.positions[0],
             "normal_stride": s.normal_stride, "motions": motions,
         }  # fmt: skip
         of_newest = (launches.fill, *(launches.search if self._reshades else ()))
         for launch, i in (*zip(launches.colors, range(3), strict=False), *((launch, 0) for launch in of_newest)):
             launch.set(
-                **shown, color=s.colors[i], is_warped=s.steps[i] > 0, stencil_previous=s.stencils[i + 1],
+                **surface, color=s.colors[i], is_warped=s.steps[i] > 0, stencil_previous=s.stencils[i + 1],
                 normal_previous=s.normals[i + 1], position_previous=s.positions[i + 1],
             )  # fmt: skip
         for launch, (newer, older) in zip(launches.colors[1:], pairwise(s.steps), strict=False):

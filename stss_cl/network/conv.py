@@ -188,12 +188,12 @@ def _maps(a: Padded, image: int, other: Padded | Final | None) -> Maps | None:
 
 def _winograd(device: Device, packed: Packed, out: Padded, side: int, stride: int, final: Final | None) -> Shape:
     row = tuning_for(device).winograd_for(packed.direct.shape[-1])
-    (kernels, gate), shown = in_lanes(packed, row.vector), final or out
+    (kernels, gate), target = in_lanes(packed, row.vector), final or out
     outputs = packed.direct.shape[-1]
     weight = winograd(kernels, side, row.vector * row.vectors_held, stride)
     # The lanes behind the outputs hold the gate; without a gate, two inputs at a time fill them.
     in_pairs = bool(outputs % row.vector) and packed.gate_direct is None and row.vectors_held * row.vector == kernels.shape[-1]
-    tiling = of_convolution(shown.height, shown.width, stride, 3, side)
+    tiling = of_convolution(target.height, target.width, stride, 3, side)
     return Shape(
         file="winograd_image.cl" if final else "winograd.cl",
         options={

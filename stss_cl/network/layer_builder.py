@@ -58,15 +58,15 @@ class LayerBuilder:
         self._device, self._weights, self._dtype = device, weights, dtype_of(precision)
         self._winograd = precision != "float32-direct"
         first = inputs.input, inputs.earlier, inputs.eighth
-        made = [
+        tensors = [
             padded(device, height // slot.divisor, width // slot.divisor, slot.channels, self._dtype, slot.images)
             for slot in slots[len(first) :]
         ]
-        self.maps = Parts(device, [map_bytes(each.height, each.width, each.images) for each in made]) if keep else None
+        self.maps = Parts(device, [map_bytes(each.height, each.width, each.images) for each in tensors]) if keep else None
         self.marked = (
-            [replace(each, changes=part) for each, part in zip(made, self.maps.buffers, strict=True)] if self.maps else []
+            [replace(each, changes=part) for each, part in zip(tensors, self.maps.buffers, strict=True)] if self.maps else []
         )
-        self._held = dict(zip(slots, (*first, *(self.marked or made)), strict=True))
+        self._held = dict(zip(slots, (*first, *(self.marked or tensors)), strict=True))
 
     def __getitem__(self, slot: Slot) -> Padded:
         return self._held[slot]
@@ -116,9 +116,9 @@ class LayerBuilder:
         source = KernelSource(file, name, {**options, "WORKERS": workers, **amx.stored_as(self._device, self._dtype)}, flags)
         group = 1 if self._device.is_cpu else max(GROUP, workers)
         size = list_size(self._device, tiling.most, workers=workers, group=group)
-        maps = tuple(held.changes for held in reads if held.changes is not None)
-        known = Maps(maps, reads[0].rows - 2, reads[0].columns - 2) if maps else None
-        self.launches.append(layer(self._device, stage, name, source, arguments, tiling, (size,), (group,), known, out))
+        maps = tuple(tensor.changes for tensor in reads if tensor.changes is not None)
+        maps_in = Maps(maps, reads[0].rows - 2, reads[0].columns - 2) if maps else None
+        self.launches.append(layer(self._device, stage, name, source, arguments, tiling, (size,), (group,), maps_in, out))
         self.results.append(None)
         return self.launches[-1]
 

@@ -86,20 +86,20 @@ class Layers:
         keep = keep and bytes_for(full, full, columns, dtype, keep=True) <= limit
         local = tuning_for(device).local is not None and not device.is_cpu
         live = find_live(weights)
-        needed = Live(BY_NAME, (), weights) if every else live
-        planned = partial(plan, needed.layers, needed.once, keep=keep, fused=winograd or precision == "bfloat16", local=local)
+        subset = Live(BY_NAME, (), weights) if every else live
+        planned = partial(plan, subset.layers, subset.once, keep=keep, fused=winograd or precision == "bfloat16", local=local)
         # The three images of the history in one launch, where that is known and their buffers have room.
         what = planned(together=local and not winograd and precision in ("float32", "half"))
         if bytes_for(rows, full, columns, dtype, keep=keep, what=what) > limit:
             what = planned(together=False)
         self.device, self.size, self.keep = device, (height, width), keep
-        self.reads_history, self.colors_read = needed.reads_history, colors_read(weights, live)
+        self.reads_history, self.colors_read = subset.reads_history, colors_read(weights, live)
         self.second_color: SecondColor = weights.second_color
         self.hole_test: HoleTest = weights.hole_test
         self.hole_fill: HoleFill = weights.hole_fill
-        self._needed, self._height, self._width, self._full, self._top = needed, rows, columns, full, 0
+        self._needed, self._height, self._width, self._full, self._top = subset, rows, columns, full, 0
         self.inputs = inputs_for(device, rows, columns, dtype, keep)
-        self._build = build = LayerBuilder(device, needed.tensors, precision, rows, columns, what.slots, self.inputs, keep)
+        self._build = build = LayerBuilder(device, subset.tensors, precision, rows, columns, what.slots, self.inputs, keep)
         self.marked, self.maps = build.marked, build.maps
         self.features = {name: build[slot] for name, slot in what.features.items()}
         self.strips = strips(full, height, rows, overlap)
@@ -155,21 +155,21 @@ class Layers:
 
     def layers_of(self, stage: str, inputs: Mapping[str, Array]) -> dict[str, Array]:
         """The result of each layer of a stage, or of all (``network``; docs/ports.md); the last one is fused where Winograd runs."""
-        found: dict[str, list[Array]] = {}
+        results: dict[str, list[Array]] = {}
 
         def see(launch: LayerLaunch, result: tuple[Padded, int, int] | None) -> None:
             if result is not None:
                 out, first, n = result
                 for i in range(launch.tiling.images):  # each an image of the output, or channels behind the one before it
                     place = (0, n, i) if out.images > 1 else (first + n * i, n, 0)
-                    found.setdefault(launch.name, []).append(read(self.device, out, *place))
+                    results.setdefault(launch.name, []).append(read(self.device, out, *place))
             elif launch.name in ("attend", "attend_local") and stage == "network":
-                found["reshaded"] = [read(self.device, self.features["reshaded"], 0, 64)]
+                results["reshaded"] = [read(self.device, self.features["reshaded"], 0, 64)]
 
         if len(self.strips) > 1:
             return {}
         self.run_stage(stage, inputs, see)
-        return {name: arrays[0] if len(arrays) == 1 else np.stack(arrays) for name, arrays in found.items()}
+        return {name: arrays[0] if len(arrays) == 1 else np.stack(arrays) for name, arrays in results.items()}
 
     def run_stage(self, stage: str, inputs: Mapping[str, Array], see: See | None = None) -> dict[str, Array]:
         """Run one stage alone, on arrays; H, W are multiples of 8 and the frame is one strip. ``see`` is told behind each launch."""
@@ -179,8 +179,8 @@ class Layers:
         gbuffer = inputs.get("gbuffer", np.zeros((height, width, 9), np.float32))
         mask = inputs.get("mask", np.zeros((height, width), np.float32))
         history = inputs.get("history", np.zeros((3, height, width, 4), np.float32))
-        held = [incoming(self.device, array) for array in (color, gbuffer, mask, history)]
-        self.pack(*held)
+        buffers = [incoming(self.device, array) for array in (color, gbuffer, mask, history)]
+        self.pack(*buffers)
         for name in ("x1", "x2", "x3", "x4"):
             if name in inputs:
                 write(self.device, self.features[name], inputs[name])

@@ -64,19 +64,19 @@ class Network:
         height, width = check(color, gbuffer, mask, history)
         layers = self.layers(height, width)
         tensors = {"color": color, "gbuffer": gbuffer, "mask": mask, "history": history}
-        read = {name: array for name, array in tensors.items() if layers.reads_history or name != "history"}
-        held = {
+        inputs = {name: array for name, array in tensors.items() if layers.reads_history or name != "history"}
+        buffers = {
             name: on_device(self.device, name, array) if isinstance(array, cla.Array) else incoming(self.device, array)
-            for name, array in read.items()
+            for name, array in inputs.items()
         }
         image = Outgoing(self.device, (2 * height, 2 * width, 3), on_device=isinstance(color, cla.Array))
         for strip in layers.strips:
             layers.place(strip)
-            layers.pack(held["color"], held["gbuffer"], held["mask"], held.get("history"))
+            layers.pack(buffers["color"], buffers["gbuffer"], buffers["mask"], buffers.get("history"))
             layers.run(image.data)
         result = image.finish()
         if not layers.all_finite():
-            for name, array in read.items():
+            for name, array in inputs.items():
                 require_finite(name, array.get() if isinstance(array, cla.Array) else array)
         return result
 

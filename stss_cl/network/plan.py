@@ -102,8 +102,8 @@ def plan(
     left_out = {LAYERS[-1].name, LAST} if fused else {LAYERS[-1].name}
     order = [(node, image) for node, image in _order(layers, together) if node.name not in left_out]
     last = BY_NAME[LAST].reads[0] if fused else LAST
-    shown = last if last in layers else "input"
-    buffers = _Buffers(layers, {*FEATURES, "history", "gbuffer", shown}, once, keep)
+    result = last if last in layers else "input"
+    buffers = _Buffers(layers, {*FEATURES, "history", "gbuffer", result}, once, keep)
     steps: list[Step] = []
     before: list[Step] = []
     for (node, image), last_read in zip(order, _last_reads(order), strict=True):
@@ -111,7 +111,7 @@ def plan(
         (before if computed in once else steps).append(_step(buffers, node, image, local))
         buffers.free(last_read)
     features = {FEATURES[name]: buffers[name] for name in FEATURES if name in buffers}
-    return Plan(tuple(buffers.slots), tuple(steps), tuple(before), features, buffers[shown], fused)
+    return Plan(tuple(buffers.slots), tuple(steps), tuple(before), features, buffers[result], fused)
 
 
 def _order(layers: Mapping[str, Layer], together: bool) -> Iterator[tuple[Node, int | None]]:
@@ -190,8 +190,8 @@ class _Buffers:
         """The slots that a layer reads, and how many channels of each are real."""
         inputs: dict[Slot, int] = {}
         for name in node.layer.reads:
-            read = name if name in node.reads else node.name + UPSAMPLED
-            inputs[self[read]] = inputs.get(self[read], 0) + self.channels(name, node.layer.repeats)
+            source = name if name in node.reads else node.name + UPSAMPLED
+            inputs[self[source]] = inputs.get(self[source], 0) + self.channels(name, node.layer.repeats)
         if inputs:
             return tuple(inputs.items())
         # A layer that reads nothing still needs a buffer, for kernels of 0: its values are finite.
@@ -203,9 +203,9 @@ class _Buffers:
         """The slot of a result, and its first channel there."""
         together = next((names for names in JOINED if name in names), ())
         sizes = [self.channels(each, BY_NAME[each].repeats if each in BY_NAME else 1) for each in together]
-        held = next((self._results[each][0] for each in together if each in self._results), None)
+        buffer = next((self._results[each][0] for each in together if each in self._results), None)
         if together:
-            slot = held or self._new(8, sum(sizes))
+            slot = buffer or self._new(8, sum(sizes))
             self._results[name] = slot, sum(sizes[: together.index(name)])
         else:
             size = divisor, ceil8(channels), images

@@ -80,9 +80,9 @@ def rows_within(height: int, width: int, dtype: DTypeLike, limit: int, overlap: 
     # The last strip ends with the frame and begins at a multiple of STEP, so all of them have this remainder.
     smallest = 2 * overlap + STEP + height % STEP
     if smallest >= height or bytes_for(smallest, height, width, dtype) > limit:
-        needed = bytes_for(min(smallest, height), height, width, dtype)
+        smallest_bytes = bytes_for(min(smallest, height), height, width, dtype)
         raise DeviceError(
-            f"memory limit: {limit / 2**20:.0f} MiB; frames of {width} x {height} need at least {-(-needed // 2**20)} MiB"
+            f"memory limit: {limit / 2**20:.0f} MiB; frames of {width} x {height} need at least {-(-smallest_bytes // 2**20)} MiB"
         )
     rows = smallest
     while rows + STEP < height and bytes_for(rows + STEP, height, width, dtype) <= limit:
@@ -90,26 +90,26 @@ def rows_within(height: int, width: int, dtype: DTypeLike, limit: int, overlap: 
     return rows
 
 
-def strips(height: int, shown: int, rows: int, overlap: int) -> tuple[Strip, ...]:
+def strips(height: int, frame_rows: int, rows: int, overlap: int) -> tuple[Strip, ...]:
     """Cover a frame with strips of ``rows`` rows.
 
     Args:
         height: of the frame, a multiple of 8.
-        shown: rows of the frame before it was padded.
+        frame_rows: rows of the frame before it was padded.
         rows: from ``rows_within``.
         overlap: as there.
 
     Returns:
-        Strips in order; every row below ``shown`` is written by exactly one.
+        Strips in order; every row below ``frame_rows`` is written by exactly one.
     """
     if rows >= height:
-        return (Strip(0, 0, shown),)
+        return (Strip(0, 0, frame_rows),)
     parts: list[Strip] = []
-    written = top = 0
-    while written < shown:
+    end = top = 0
+    while end < frame_rows:
         ends = top + rows >= height
-        last = shown if ends else (top + rows - overlap) // STEP * STEP
-        parts.append(Strip(top, written - top, last - top))
-        written = last
-        top = min(written - overlap, height - rows)
+        last = frame_rows if ends else (top + rows - overlap) // STEP * STEP
+        parts.append(Strip(top, end - top, last - top))
+        end = last
+        top = min(end - overlap, height - rows)
     return tuple(parts)

@@ -28,7 +28,7 @@ FINITE = ("color", "gbuffer", "nov", "stencil")
 COMPARED = ("gbuffer", "nov", "stencil", "position")
 
 Planes = Mapping[str, cl.Buffer]
-Found = tuple[str | None, Tiles | None, Tiles | None]
+Arrived = tuple[str | None, Tiles | None, Tiles | None]
 """Name of a plane that is not finite; where the frame differs from the one before it, and its colour from the last one before it; None
 where nothing was compared."""
 
@@ -57,7 +57,7 @@ class Arrival:
         self._kernel.load(self._queue, *self._groups, height=0).wait()
         self._kernel.set(height=self._size[0])
 
-    def look(self, planes: Planes, color: cl.Buffer | None, before: Planes | None, color_before: cl.Buffer | None) -> Found:
+    def look(self, planes: Planes, color: cl.Buffer | None, before: Planes | None, color_before: cl.Buffer | None) -> Arrived:
         """Look at one.
 
         Args:
@@ -68,9 +68,9 @@ class Arrival:
         """
         compares, recolors = before is not None, color is not None and color_before is not None
         earlier = planes if before is None else before
-        shown = planes["position"] if color is None else color
+        plane = planes["position"] if color is None else color
         self._kernel.set(
-            **planes, color=shown, color_before=color_before if recolors else shown,
+            **planes, color=plane, color_before=color_before if recolors else plane,
             **{f"{name}_before": earlier[name] for name in COMPARED},
             has_color=color is not None, compares=compares, recolors=recolors,
         )  # fmt: skip

@@ -45,23 +45,23 @@ def one_ahead(
     What is wrong with a call, or with getting it, is raised when its turn comes. No frame is left unfinished when this ends, raises
     or is closed.
     """
-    left, waiting, begun = iter(calls), None, None
+    rest, waiting, newest = iter(calls), None, None
     try:
         while True:
             fault = None
             try:
-                if (call := next(left, None)) is not None:
-                    begun = begin(*call)
+                if (call := next(rest, None)) is not None:
+                    newest = begin(*call)
             except Exception as error:
                 fault = error
             if waiting is not None:
                 yield finish(waiting)
-            waiting, begun = begun, None  # nor is the image before held while the next frame begins
+            waiting, newest = newest, None  # nor is the image before held while the next frame begins
             if fault is not None:
                 raise fault
             if waiting is None:
                 return
     finally:
-        for each in (waiting, begun):
+        for each in (waiting, newest):
             if each is not None:
                 each.finish()

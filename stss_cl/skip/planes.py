@@ -91,9 +91,9 @@ class Planes:
         target: Any = self._pool.allocate(4 * count)
         size = ceil_div(ceil_div(count, 4), GROUP) * GROUP
         self._widen.set(**{"from": half, "to": target, "count": count})
-        done = self._widen.enqueue(self.queue, (size,), (GROUP,))
+        event = self._widen.enqueue(self.queue, (size,), (GROUP,))
         if self._device.is_cpu:
-            done.wait()  # the caller's array was read in place
+            event.wait()  # the caller's array was read in place
         return target
 
     @cached_property

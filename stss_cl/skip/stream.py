@@ -153,22 +153,22 @@ class Stream:
         return frame.finish()
 
     def _enqueue(self, window: Sequence[DisplayFrame], steps: Sequence[int], out: cla.Array | None) -> FrameInFlight:
-        chosen = check_steps(steps)
-        if len(window) <= chosen[2]:
-            raise ArrayError(f"window: expected the {chosen[2] + 1} frames that the steps lead to, got {len(window)}")
-        if any(window[-1 - step].color is None for step in chosen):
-            raise ArrayError(f"window: expected a colour {', '.join(map(str, chosen))} frames back")
+        distances = check_steps(steps)
+        if len(window) <= distances[2]:
+            raise ArrayError(f"window: expected the {distances[2] + 1} frames that the steps lead to, got {len(window)}")
+        if any(window[-1 - step].color is None for step in distances):
+            raise ArrayError(f"window: expected a colour {', '.join(map(str, distances))} frames back")
         shape: Any = window[-1].nov.shape
         window, size = window[-MOST_STEPS - 1 :], shape
-        uploaded, cache = self._arriving(size), self._keep(size, extrapolates=chosen[0] > 0)
+        uploaded, cache = self._arriving(size), self._keep(size, extrapolates=distances[0] > 0)
         looking = self.control.begin()
         frames = uploaded.take(window, compare=cache is not None and looking)
         self._latest = cache
         if cache is None:
             self.cost = Cost(1.0, "whole")
-            return self._compute_whole(sources(frames, chosen), size, out)
-        dirty = self._dirty(uploaded, cache, frames, cache.read(chosen)) if looking else None
-        return self._compute(cache, frames, chosen, dirty, looking, out)
+            return self._compute_whole(sources(frames, distances), size, out)
+        dirty = self._dirty(uploaded, cache, frames, cache.read(distances)) if looking else None
+        return self._compute(cache, frames, distances, dirty, looking, out)
 
     def expect(self, size: tuple[int, int]) -> None:
         """Build all that frames of (H, W) need, for example while the first is read: no call builds anything then.
@@ -229,17 +229,17 @@ class Stream:
         if valid is None:
             valid = mask_of(self.device, cache.prepare.mask, cache.layers.size, on_device=False)
         cache.last = _last(frames, cache.read(steps), valid)
-        shown, image = cache.image.lend()
+        array, image = cache.image.lend()
         valid.send()
         mask = valid.array.view(np.bool_)
         mask.flags.writeable = False
-        return FrameInFlight(shown, mask, (image, valid), self.cost)
+        return FrameInFlight(array, mask, (image, valid), self.cost)
 
-    def _compute_whole(self, read: Sources, size: tuple[int, int], out: cla.Array | None) -> FrameInFlight:
+    def _compute_whole(self, planes: Sources, size: tuple[int, int], out: cla.Array | None) -> FrameInFlight:
         """Compute a frame of which nothing is kept."""
         there = out is not None
         image = Outgoing(self.device, (2 * size[0], 2 * size[1], 3), on_device=there)
-        valid = mask_of(self.device, self._whole.start(read, size, image.data), size, on_device=there)
+        valid = mask_of(self.device, self._whole.start(planes, size, image.data), size, on_device=there)
         if out is not None:
             to: Any = out.base_data
             cl.enqueue_copy(self.device.queue, to, image.data, byte_count=out.nbytes, dst_offset=out.offset)

@@ -77,21 +77,21 @@ class UploadedFrames:
         Raises:
             ArrayError: a shape or dtype is not a frame's, or a value that must be finite is not.
         """
-        first = next((i for i, held in enumerate(self._chain) if held.frame is window[0]), len(self._chain))
-        known = list(self._chain)[first : first + len(window)]
-        if not known or any(held.frame is not frame for held, frame in zip(known, window, strict=False)):
+        first = next((i for i, each in enumerate(self._chain) if each.frame is window[0]), len(self._chain))
+        uploads = list(self._chain)[first : first + len(window)]
+        if not uploads or any(each.frame is not frame for each, frame in zip(uploads, window, strict=False)):
             self.forget()
-            known = []
-        for frame in window[len(known) :]:
-            self._arrive(frame, known, compare=compare)
-            known.append(self._chain[-1])
+            uploads = []
+        for frame in window[len(uploads) :]:
+            self._arrive(frame, uploads, compare=compare)
+            uploads.append(self._chain[-1])
         self._planes.arrived()
-        if self._chain[-1] is not known[-1]:
-            while self._chain[-1] is not known[-1]:
+        if self._chain[-1] is not uploads[-1]:
+            while self._chain[-1] is not uploads[-1]:
                 self._drop(self._chain.pop())
             self._count += 1  # the next frame does not follow the last one
-        self._drop(*takewhile(lambda held: held is not known[0], self._chain))
-        return known
+        self._drop(*takewhile(lambda each: each is not uploads[0], self._chain))
+        return uploads
 
     def require_finite(self) -> None:
         """Make sure that all frames of the last window were finite for which ``take`` did not wait; waits for them.
@@ -104,7 +104,7 @@ class UploadedFrames:
 
     def _refuse(self, bad: str, *arriving: DisplayFrame) -> None:
         """Forget all frames, and name the frame whose plane ``bad`` is not finite: perhaps an earlier one, which was not waited for."""
-        frames = [held.frame for held in self._chain if held.frame is not None]
+        frames = [each.frame for each in self._chain if each.frame is not None]
         self.forget()
         for frame in (*frames, *arriving):
             refuse(bad, frame)
@@ -116,35 +116,39 @@ class UploadedFrames:
 
     def _drop(self, *frames: UploadedFrame) -> None:
         """Let go of the arrays of frames; launches that were enqueued may still read them."""
-        if any(held.planes for held in frames):
-            for held in frames:
-                held.let_go()
+        if any(frame.planes for frame in frames):
+            for frame in frames:
+                frame.let_go()
             self._planes.dropped()
 
     def changed(self, first: int, last: int) -> Tiles | None:
         """Where something moves or differs in the frames numbered ``first`` + 1 .. ``last``; None: unknown, so possibly everywhere."""
-        return self._either([held.changed for held in self._chain if first < held.number <= last], last - first)
+        return self._either([frame.changed for frame in self._chain if first < frame.number <= last], last - first)
 
     def color_changed(self, one: int, other: int) -> Tiles | None:
         """Where the colours of two frames may differ, by their numbers; None: unknown, so possibly everywhere."""
         first, last = sorted((one, other))
-        return self._either([held.recolored for held in self._chain if first < held.number <= last], last - first)
+        return self._either([frame.recolored for frame in self._chain if first < frame.number <= last], last - first)
 
     def _either(self, maps: list[Tiles | None], count: int) -> Tiles | None:
-        known = [tiles for tiles in maps if tiles is not None]
-        return np.logical_or.reduce([*known, np.zeros(self._shape, np.bool_)]) if len(known) == count else None
+        masks = [tiles for tiles in maps if tiles is not None]
+        return np.logical_or.reduce([*masks, np.zeros(self._shape, np.bool_)]) if len(masks) == count else None
 
     def _arrive(self, frame: DisplayFrame, window: Sequence[UploadedFrame], *, compare: bool) -> None:
         """Upload and compare a frame; ``window`` has the frames before it that its output also reads."""
         height, width = self.size
         shapes = {"motion": (2,), "gbuffer": (9,), "nov": (), "stencil": (), "position": (3,)}
-        given: dict[str, tuple[Plain, tuple[int, ...]]] = {n: (getattr(frame, n), (height, width, *c)) for n, c in shapes.items()}
+        arrays: dict[str, tuple[Plain, tuple[int, ...]]] = {
+            n: (getattr(frame, n), (height, width, *c)) for n, c in shapes.items()
+        }
         if frame.color is not None:
-            given["color"] = frame.color, (height, width, 3)
-        planes = self._planes.bring(given)
+            arrays["color"] = frame.color, (height, width, 3)
+        planes = self._planes.bring(arrays)
         color = planes.pop("color", None)
         before = window[-1].planes if window and compare else None
-        color_before = next((held.color for held in reversed(window) if held.color is not None), None) if compare else None
+        color_before = (
+            next((earlier.color for earlier in reversed(window) if earlier.color is not None), None) if compare else None
+        )
         bad, changed, recolored = self._arrival.look(planes, color, before, color_before)
         if bad is not None:
             self._refuse(bad, frame)
@@ -163,19 +167,19 @@ def refuse(name: str, frame: DisplayFrame) -> None:
         require_finite(name, array.get() if isinstance(array, cla.Array) else array)
 
 
-def sources(held: Sequence[UploadedFrame], steps: tuple[int, int, int]) -> Sources:
-    """The inputs of stage ``frame`` for the last of ``held``, which are consecutive frames; the steps lead to frames with colour."""
-    back = held[::-1]
+def sources(frames: Sequence[UploadedFrame], steps: tuple[int, int, int]) -> Sources:
+    """The inputs of stage ``frame`` for the last of ``frames``, which are consecutive frames; the steps lead to frames with colour."""
+    back = frames[::-1]
     now, colors = back[0].planes, [back[step] for step in steps]
-    shown = [now, *(frame.planes for frame in colors)]
+    views = [now, *(frame.planes for frame in colors)]
     return Sources(
         steps=steps,
         colors=tuple(frame.color for frame in colors if frame.color is not None),
         motions=tuple(frame.planes["motion"] for frame in back[: steps[2]]),
         gbuffer=now["gbuffer"],
         nov=now["nov"],
-        stencils=tuple(planes["stencil"] for planes in shown),
-        normals=tuple(planes["gbuffer"] for planes in shown),
-        positions=tuple(planes["position"] for planes in shown),
+        stencils=tuple(planes["stencil"] for planes in views),
+        normals=tuple(planes["gbuffer"] for planes in views),
+        positions=tuple(planes["position"] for planes in views),
         normal_stride=9,
     )

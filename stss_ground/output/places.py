@@ -18,7 +18,7 @@ def require_places(
     *,
     folders: Iterable[OutputFolder] = (),
     inputs: Iterable[Path] = (),
-    made: Iterable[Path] = (),
+    new_folders: Iterable[Path] = (),
 ) -> None:
     """Check all that a command writes against all that it reads.
 
@@ -29,7 +29,7 @@ def require_places(
         files: option -> the file that the user named; None: not asked for.
         reads: files that are read; None and files that do not exist are ignored.
         folders: the folders of many files that are written.
-        made: folders that the command makes: a named file may lie in one.
+        new_folders: folders that the command makes: a named file may lie in one.
         inputs: files that are read, beside which no folder's files may lie: the same command would take them for inputs next time.
 
     Raises:
@@ -37,19 +37,19 @@ def require_places(
             no folder, or is one that another option names or that is written into a folder; a folder is one of ``inputs``.
     """
     inputs, folders = list(inputs), list(folders)
-    places = [*made, *(folder.path for folder in folders)]
-    read = [path for path in (*inputs, *reads) if path is not None]
-    lists = [folder / name for folder in {path.parent for path in read} for name in (SUMS, LOCK)]
-    taken = {key: f"{path}, which is read" for path in read for key in keys_of(path)}
+    places = [*new_folders, *(folder.path for folder in folders)]
+    sources = [path for path in (*inputs, *reads) if path is not None]
+    lists = [folder / name for folder in {path.parent for path in sources} for name in (SUMS, LOCK)]
+    owners = {key: f"{path}, which is read" for path in sources for key in keys_of(path)}
     for folder in folders:
         with tell_errors(folder.path):
             for path in folder.present():
-                _require_free(str(path), path, taken)
+                _require_free(str(path), path, owners)
             among = {path.parent for path in inputs}
             for place in folder.folders():
                 if any(same_place(place, path) for path in among):
                     raise InputError(f"{place}: the folder of the frames that are read; expected another one")
-    taken |= {key: f"{path}, which knows about files that are read" for path in lists for key in keys_of(path)}
+    owners |= {key: f"{path}, which knows about files that are read" for path in lists for key in keys_of(path)}
     for option, path in (files or {}).items():
         if path is None:
             continue
@@ -58,20 +58,20 @@ def require_places(
                 raise InputError(f"{option} {path}: expected a file in a folder that exists")
             if path.exists() and not path.is_file():
                 continue  # a pipe or a device holds nothing that could be lost
-        _require_free(f"{option} {path}", path, taken)
+        _require_free(f"{option} {path}", path, owners)
         for folder in folders:
             if folder.owns(path):
                 raise InputError(
                     f"{option} {path}: the same file as one that is written into {folder.path}; expected another place"
                 )
-        taken |= dict.fromkeys(keys_of(path), f"{option} {path}")
+        owners |= dict.fromkeys(keys_of(path), f"{option} {path}")
 
 
-def _will_be(place: Path, made: Iterable[Path]) -> bool:
-    return any(same_place(each, folder) for folder in made for each in (place, *place.parents))
+def _will_be(place: Path, folders: Iterable[Path]) -> bool:
+    return any(same_place(each, folder) for folder in folders for each in (place, *place.parents))
 
 
-def _require_free(what: str, path: Path, taken: Mapping[object, str]) -> None:
+def _require_free(what: str, path: Path, owners: Mapping[object, str]) -> None:
     for key in keys_of(path):
-        if key in taken:
-            raise InputError(f"{what}: the same file as {taken[key]}; expected another place to write to")
+        if key in owners:
+            raise InputError(f"{what}: the same file as {owners[key]}; expected another place to write to")

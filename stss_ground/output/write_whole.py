@@ -109,10 +109,10 @@ def keys_of(path: Path) -> list[object]:
 def _number(path: Path) -> tuple[int, int] | None:
     """The system's identity of a file or folder; None where it does not exist or has no number."""
     try:
-        found = path.stat()
+        status = path.stat()
     except (OSError, ValueError):
         return None
-    return (found.st_dev, found.st_ino) if found.st_ino else None
+    return (status.st_dev, status.st_ino) if status.st_ino else None
 
 
 def _write_beside(path: Path, data: bytes) -> None:

@@ -43,8 +43,8 @@ def plot(title: str, lines: Sequence[PlotLine], *, digits: int, frames: Sequence
         frames: numbers of frames that the axis shows besides those with values, so that several plots have one axis.
     """
     numbers = sorted({*frames, *(number for line in lines for number in line.values)})
-    found = [value for line in lines for value in line.values.values() if math.isfinite(value)] or [0.0]
-    low, high, step = _scale(min(found), max(found))
+    values = [value for line in lines for value in line.values.values() if math.isfinite(value)] or [0.0]
+    low, high, step = _scale(min(values), max(values))
     span = max(numbers[-1] - numbers[0], 1)
 
     def x(number: int) -> float:
@@ -53,27 +53,27 @@ def plot(title: str, lines: Sequence[PlotLine], *, digits: int, frames: Sequence
     def y(value: float) -> float:
         return HEIGHT - BOTTOM - min((value - low) / (high - low), 1) * (HEIGHT - TOP - BOTTOM)
 
-    shown = max(0, -math.floor(math.log10(step)))
+    decimals = max(0, -math.floor(math.log10(step)))
     ticks = [low + i * step for i in range(round((high - low) / step) + 1)]
-    drawn = [
+    marks = [
         f'<line class="grid" x1="{LEFT}" x2="{WIDTH - RIGHT}" y1="{y(t):.1f}" y2="{y(t):.1f}"/>'
-        f'<text x="{LEFT - 5}" y="{y(t) + 4:.1f}" text-anchor="end">{t:.{shown}f}</text>'
+        f'<text x="{LEFT - 5}" y="{y(t) + 4:.1f}" text-anchor="end">{t:.{decimals}f}</text>'
         for t in ticks
     ]
     first, *others = numbers[:: max(1, math.ceil(len(numbers) / 8))]  # as many as fit below the plot
     below = [(first, f"frame {first}"), *((n, str(n)) for n in others)]
-    drawn += [f'<text x="{x(n):.1f}" y="{HEIGHT - 8}" text-anchor="middle">{text}</text>' for n, text in below]
-    drawn.append(f'<line class="at" x1="{LEFT}" x2="{LEFT}" y1="{TOP}" y2="{HEIGHT - BOTTOM}"/>')
+    marks += [f'<text x="{x(n):.1f}" y="{HEIGHT - 8}" text-anchor="middle">{text}</text>' for n, text in below]
+    marks.append(f'<line class="at" x1="{LEFT}" x2="{LEFT}" y1="{TOP}" y2="{HEIGHT - BOTTOM}"/>')
     for line in lines:
         places = [(number, value, x(number), y(value)) for number, value in sorted(line.values.items())]
         path = " ".join(f"{px:.1f},{py:.1f}" for _, _, px, py in places)
         points = "".join(_point(line, number, f"{value:.{digits}f}", px, py) for number, value, px, py in places)
-        drawn.append(f'<g class="c{line.colour % COLOURS} {line.kind}"><polyline class="line" points="{path}"/>{points}</g>')
+        marks.append(f'<g class="c{line.colour % COLOURS} {line.kind}"><polyline class="line" points="{path}"/>{points}</g>')
     legend = "".join(f'<li class="c{line.colour % COLOURS}">{_sample(line)} {escape(line.name)}</li>' for line in lines)
     label = escape(title)
     return (
         f'<figure><figcaption>{label}</figcaption><svg viewBox="0 0 {WIDTH} {HEIGHT}" role="group" '
-        f'aria-label="{label}, for each frame">{"".join(drawn)}</svg><ul class="legend">{legend}</ul></figure>'
+        f'aria-label="{label}, for each frame">{"".join(marks)}</svg><ul class="legend">{legend}</ul></figure>'
     )
 
 

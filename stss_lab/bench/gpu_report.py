@@ -129,15 +129,15 @@ def steps(folder: Path, device: str, *, tiny: bool) -> list[Step]:
 
 def _driver() -> Step:
     """Ask the driver's tool for the device's versions, clocks, and what limits the clocks."""
-    asked = {
+    tools = {
         "nvidia-smi": ("--query",),
         "rocm-smi": ("--showallinfo",),
         "clinfo": (),
     }
-    for tool, options in asked.items():
+    for tool, options in tools.items():
         if path := shutil.which(tool):
             return Step("driver", (path, *options), 20)
-    return Step("driver", None, 0, f"none of {', '.join(asked)} is here")
+    return Step("driver", None, 0, f"none of {', '.join(tools)} is here")
 
 
 def gpu_report(folder: Path, device: str | None, *, tiny: bool, console: Console) -> bool:
@@ -173,15 +173,15 @@ def gpu_report(folder: Path, device: str | None, *, tiny: bool, console: Console
     }
     make_folder(folder)
     make_folder(folder / "logs")
-    done: list[Done] = []
+    outcomes: list[Done] = []
     patience = PATIENCE if tiny else 1
     planned = steps(folder, name, tiny=tiny)
     with show_steps(console, len(planned)) as begin:
         for step in (replace(each, limit=patience * each.limit) for each in planned):
             begin(f"{step.name}: up to {step.limit:.0f} s")
-            done.append(_run(step, folder / "logs" / f"{step.name}.txt", name))
-            _write(folder, machine, done, tiny=tiny)
-    return all(each.outcome in ("passed", "skipped") for each in done)
+            outcomes.append(_run(step, folder / "logs" / f"{step.name}.txt", name))
+            _write(folder, machine, outcomes, tiny=tiny)
+    return all(each.outcome in ("passed", "skipped") for each in outcomes)
 
 
 def _run(step: Step, log: Path, device: str) -> Done:
@@ -204,13 +204,13 @@ def _slower(path: Path) -> list[str]:
     if not path.exists():
         return []
     rows = json.loads(path.read_text(encoding="utf-8"))["sizes"][0]["rows"]
-    found = [f"{row['name']}: {_cell(row['fault'])}" for row in rows if row.get("fault") and not row["peer"]]
+    lines = [f"{row['name']}: {_cell(row['fault'])}" for row in rows if row.get("fault") and not row["peer"]]
     ours = {row["details"].get("precision"): row for row in rows if row["name"] in ("cl", "cl-half") and not row.get("fault")}
     for row in rows:
         same = ours.get({"float16": "half"}.get(row["details"].get("precision"), row["details"].get("precision")))
         if row["peer"] and same and not row.get("fault") and row["minimum_ms"] < same["minimum_ms"]:
-            found.append(f"{row['name']} takes {row['minimum_ms']:.2f} ms, {same['name']} {same['minimum_ms']:.2f} ms")
-    return found
+            lines.append(f"{row['name']} takes {row['minimum_ms']:.2f} ms, {same['name']} {same['minimum_ms']:.2f} ms")
+    return lines
 
 
 def _table(*rows: Iterable[object]) -> str:
@@ -223,12 +223,12 @@ def _cell(text: str) -> str:
     return text.replace("|", "/")[:200]
 
 
-def _write(folder: Path, machine: dict[str, str], done: Sequence[Done], *, tiny: bool) -> None:
+def _write(folder: Path, machine: dict[str, str], outcomes: Sequence[Done], *, tiny: bool) -> None:
     """The page: what is wrong, the steps and the machine."""
     wrong = [
         *(
             f"**{each.name}** {each.outcome}, see `logs/{each.name}.txt`: {_cell(each.last_line) or 'no output'}"
-            for each in done
+            for each in outcomes
             if each.outcome not in ("passed", "skipped")
         ),
         *_slower(folder / "bench.json"),
@@ -239,7 +239,7 @@ def _write(folder: Path, machine: dict[str, str], done: Sequence[Done], *, tiny:
         "## What is wrong\n",
         "\n".join(f"- {line}" for line in wrong) or "Nothing that was looked for.",
         "\n## Steps\n",
-        _table(("step", "outcome", "s", "last line"), *((s.name, s.outcome, s.seconds, _cell(s.last_line)) for s in done)),
+        _table(("step", "outcome", "s", "last line"), *((s.name, s.outcome, s.seconds, _cell(s.last_line)) for s in outcomes)),
         "\n## Machine\n",
         _table(("what", "which"), *machine.items()),
     ]

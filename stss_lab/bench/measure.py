@@ -111,10 +111,10 @@ def bench(
     Raises:
         InputError: a name is unknown, or there is nothing to time.
     """
-    for names, known, what in ((ours, OURS, "ours"), (peers, PEERS, "peers")):
+    for names, choices, what in ((ours, OURS, "ours"), (peers, PEERS, "peers")):
         for name in names:
-            if name not in known:
-                raise InputError(f"{what}: expected some of {', '.join(known)}, got {name!r}")
+            if name not in choices:
+                raise InputError(f"{what}: expected some of {', '.join(choices)}, got {name!r}")
     names = list(dict.fromkeys([*ours, *peers]))
     if not names or repeat < 1:
         raise InputError("bench: expected at least one contender and one run")
@@ -223,17 +223,17 @@ def _error(image: Image, want: Image) -> float:
 def _serve(pipe: Connection, name: str, setup: Setup) -> None:
     """Run in the contender's process: make the contender, then answer each order with ``(True, result)`` or ``(False, reason)``."""
     try:
-        made = contender(name, setup)
-        made.prepare(inputs_for(name, setup))
+        engine = contender(name, setup)
+        engine.prepare(inputs_for(name, setup))
         for _ in range(WARM_UP):
-            made.run()
-        pipe.send((True, (made.details, made.image())))
+            engine.run()
+        pipe.send((True, (engine.details, engine.image())))
         while pipe.recv() == "time":
-            start, used = time.perf_counter(), time.process_time()
-            made.run()
-            frames = getattr(made, "frames", 1)
-            pipe.send((True, ((time.perf_counter() - start) / frames, (time.process_time() - used) / frames)))
-        pipe.send((True, (_peak_memory(), _stages(made))))
+            start, cpu_start = time.perf_counter(), time.process_time()
+            engine.run()
+            frames = getattr(engine, "frames", 1)
+            pipe.send((True, ((time.perf_counter() - start) / frames, (time.process_time() - cpu_start) / frames)))
+        pipe.send((True, (_peak_memory(), _stages(engine))))
     except (KeyboardInterrupt, EOFError):
         return
     except Exception as error:  # an engine may raise anything: it becomes the row's fault
@@ -241,11 +241,11 @@ def _serve(pipe: Connection, name: str, setup: Setup) -> None:
         pipe.send((False, first))
 
 
-def _stages(made: Any) -> dict[str, float]:
+def _stages(engine: Any) -> dict[str, float]:
     """Seconds of each stage, the least of a few measurements; empty for a contender that measures none."""
-    if not hasattr(made, "timings"):
+    if not hasattr(engine, "timings"):
         return {}
-    runs: list[dict[str, float]] = [made.timings() for _ in range(STAGE_RUNS)]
+    runs: list[dict[str, float]] = [engine.timings() for _ in range(STAGE_RUNS)]
     return {stage: min(run[stage] for run in runs) for stage in runs[0]}
 
 

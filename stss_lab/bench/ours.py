@@ -114,11 +114,11 @@ class Streamed:
         arrays["stencil"] = inputs.stencils[0]
         self._frames: list[dict[str, Any]] = []
         for step in reversed(range(WINDOW)):
-            made = {name: array.copy() for name, array in arrays.items()}
-            made["position"] = inputs.positions[0] - np.array((step * MOTION[0], step * MOTION[1], 0), np.float32)
-            made["color"] = inputs.colors[inputs.steps.index(step)] if step in inputs.steps else None
-            self._frames.append(made)
-            self._window.append(SimpleNamespace(**made))
+            planes = {name: array.copy() for name, array in arrays.items()}
+            planes["position"] = inputs.positions[0] - np.array((step * MOTION[0], step * MOTION[1], 0), np.float32)
+            planes["color"] = inputs.colors[inputs.steps.index(step)] if step in inputs.steps else None
+            self._frames.append(planes)
+            self._window.append(SimpleNamespace(**planes))
 
     def run(self) -> None:
         """See `Contender`."""
@@ -200,8 +200,8 @@ def frame_inputs(height: int, width: int, light: np.float32 = ONE) -> FrameInput
 
 def inputs_for(name: str, setup: Setup) -> NetworkInputs | FrameInputs:
     """The inputs of the contender ``name``."""
-    made = frame_inputs if name in FRAMES else network_inputs
-    return made(setup.height, setup.width, DARK if setup.dark else ONE)
+    draw = frame_inputs if name in FRAMES else network_inputs
+    return draw(setup.height, setup.width, DARK if setup.dark else ONE)
 
 
 def truth(inputs: NetworkInputs | FrameInputs, weights: Weights) -> Image:

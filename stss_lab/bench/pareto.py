@@ -55,10 +55,12 @@ def chosen_settings(words: Sequence[str] | None) -> tuple[ComputeOptions, ...]:
     Raises:
         InputError: no name contains any of them.
     """
-    chosen = tuple(s for s in SETTINGS if (s.precision != "bfloat16" if words is None else any(word in s.name for word in words)))
-    if not chosen:
+    settings = tuple(
+        s for s in SETTINGS if (s.precision != "bfloat16" if words is None else any(word in s.name for word in words))
+    )
+    if not settings:
         raise InputError(f"--settings: expected parts of {', '.join(s.name for s in SETTINGS)}, got {', '.join(words or ())}")
-    return chosen
+    return settings
 
 
 @dataclass(frozen=True)
@@ -111,25 +113,25 @@ def bench_pareto(
         raise InputError(f"--pareto: expected one --size, got {len(setups)}")
     scenes = scenes or CANONICAL
     check_request(scenes, frames, WARM + JUDGED)
-    found: dict[str, list[Point]] = {}
+    points: dict[str, list[Point]] = {}
     with show_steps(console, len(scenes)) as begin:
         for scene in scenes:
             begin(f"{scene}: {len(settings)} settings")
             # A new process has none of the kernels and caches that another scene built.
             with ProcessPoolExecutor(1, get_context("spawn")) as pool:
                 try:
-                    found[scene] = pool.submit(measure, setups[0], scene, settings, frames).result()
+                    points[scene] = pool.submit(measure, setups[0], scene, settings, frames).result()
                 except BrokenProcessPool:
                     raise InputError(f"{scene}: the process that measured it died") from None
-            print_points(scene, found[scene], Terminal())
-    return found
+            print_points(scene, points[scene], Terminal())
+    return points
 
 
-def to_json(found: Mapping[str, Sequence[Point]], setup: Setup, weights: str) -> str:
+def to_json(results: Mapping[str, Sequence[Point]], setup: Setup, weights: str) -> str:
     """The points of each scene, and the machine they were measured on, as JSON; without names of hosts, users or folders.
 
     Args:
-        found: of `bench_pareto`.
+        results: of `bench_pareto`.
         setup: the one that it had.
         weights: identity of its weights.
     """
@@ -140,7 +142,7 @@ def to_json(found: Mapping[str, Sequence[Point]], setup: Setup, weights: str) ->
         "weights": weights,
         "input": [setup.width, setup.height],
         "share": f"of the same precision's time without skipping; departure from {FULL} without skipping",
-        "scenes": {scene: [_row(point) for point in points] for scene, points in found.items()},
+        "scenes": {scene: [_row(point) for point in points] for scene, points in results.items()},
     }
     return json.dumps(data, indent=1) + "\n"
 
@@ -216,17 +218,17 @@ def _point(
     for number in range(len(frames)):
         window, steps = _window(frames, number)
         images: list[Image] = []
-        for stream, kept in zip(streams, times, strict=True):
+        for stream, seconds in zip(streams, times, strict=True):
             start = time.perf_counter()
             images.append(stream(window, steps)[0])
-            kept.append(time.perf_counter() - start)
+            seconds.append(time.perf_counter() - start)
         if number >= WARM:
             same = same and np.array_equal(images[0].view(np.uint32), images[-1].view(np.uint32))
             departures.append(0.0 if same else float(np.abs(images[0] - images[-1]).max()))
         if number in judged:
-            exact, seen = judged[number]
+            exact, scene = judged[number]
             errors.append(float(np.abs(images[0] - exact).max()))
-            scores.append(psnr(255 * np.clip(images[0], 0, 1), 255 * np.clip(seen, 0, 1)) or 0.0)
+            scores.append(psnr(255 * np.clip(images[0], 0, 1), 255 * np.clip(scene, 0, 1)) or 0.0)
         images.clear()  # the backend copies an image that the caller holds, and overwrites any other
     return Point(
         setting,

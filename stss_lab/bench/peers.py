@@ -198,10 +198,10 @@ class Mnn(Peer):
 
     def _result(self) -> Array:
         image = self._interpreter.getSessionOutput(self._session, "image")
-        made = np.zeros(image.getShape(), np.float32)
-        held = self._tensor(made)  # may lie in the array's memory, or in its own
-        image.copyToHostTensor(held)
-        return np.array(held.getNumpyData(), np.float32).reshape(made.shape)
+        array = np.zeros(image.getShape(), np.float32)
+        tensor = self._tensor(array)  # may lie in the array's memory, or in its own
+        image.copyToHostTensor(tensor)
+        return np.array(tensor.getNumpyData(), np.float32).reshape(array.shape)
 
 
 class ExecuTorch(Peer):

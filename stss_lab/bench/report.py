@@ -27,9 +27,9 @@ def print_results(results: Sequence[SizeResult], console: Console) -> None:
         for row in result.rows:
             if row.fault:
                 console.print(f"{row.name}: {row.fault}", soft_wrap=True, markup=False, highlight=False)
-        known = [(row.name, row.details.get("precision"), row.details.get("threads")) for row in result.rows if not row.fault]
+        settings = [(row.name, row.details.get("precision"), row.details.get("threads")) for row in result.rows if not row.fault]
         computed = [
-            f"{name} {precision}" + (f" x {threads}" if threads else "") for name, precision, threads in known if precision
+            f"{name} {precision}" + (f" x {threads}" if threads else "") for name, precision, threads in settings if precision
         ]
         if computed:
             console.print(f"Precision x threads: {', '.join(computed)}.", soft_wrap=True, markup=False, highlight=False)

@@ -11,7 +11,7 @@ from stss.quality.output_and_truth import find_pairs
 from stss.sequence.reader import Sequence as Frames
 from stss_ground.pages.page import table
 from stss_ground.progress import Track
-from stss_lab.methods.methods_table import MethodResult, cells, meant
+from stss_lab.methods.methods_table import MethodResult, caption, cells
 
 
 def methods_page(
@@ -40,6 +40,6 @@ def methods_page(
         for r in results
     ]
     headings, rows = cells(results)
-    means = table(f"Every method: {meant(results)}", [f"{above.strip()}\n{kind}" for above, kind in headings], rows)
+    means = table(f"Every method: {caption(results)}", [f"{above.strip()}\n{kind}" for above, kind in headings], rows)
     inputs = RenderedInputs(sequence, versions[-1].pairs)
     write_comparison(path, f"Methods compared on {sequence.path.name}", versions, inputs, [means], track=track)

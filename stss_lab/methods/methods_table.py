@@ -53,11 +53,11 @@ def choose_methods(names: Sequence[str], weights: str) -> tuple[str, ...]:
     Raises:
         InputError: there is no such method, or one is named twice.
     """
-    known = (*METHODS, NETWORK)
+    choices = (*METHODS, NETWORK)
     for name in names:
-        if name not in known or names.count(name) > 1:
-            raise InputError(f"methods: expected some of {', '.join(known)}, each once; got {','.join(names)}")
-    return tuple(names) or tuple(name for name in known if name != NETWORK or weights != BILINEAR)
+        if name not in choices or names.count(name) > 1:
+            raise InputError(f"methods: expected some of {', '.join(choices)}, each once; got {','.join(names)}")
+    return tuple(names) or tuple(name for name in choices if name != NETWORK or weights != BILINEAR)
 
 
 def run_methods(
@@ -96,10 +96,10 @@ def run_methods(
         run(sequence, out / method, backend, label, options, lambda _, method=method: on_frame(method), reads)
     results: list[MethodResult] = []
     for method in methods:
-        shown, masks = partial(_counted, method, on_frame), out / holes_of(methods)
+        bar, masks = partial(_counted, method, on_frame), out / holes_of(methods)
         masks = masks if (masks / HOLES).exists() else None  # where every frame was rendered, there are none
         scores = compare(
-            out / method, truth, frames=options.frames, sequence=sequence, flip=flip, vmaf=vmaf, holes=masks, track=shown
+            out / method, truth, frames=options.frames, sequence=sequence, flip=flip, vmaf=vmaf, holes=masks, track=bar
         )
         results.append(MethodResult(method, out / method, scores))
     return results
@@ -127,28 +127,28 @@ def print_results(results: Sequence[MethodResult], console: Console) -> None:
     headings, rows = cells(results)
     table.add_column(f"\n\n{headings[0][1]}")
     for i, (above, kind) in enumerate(headings[1:], start=1):
-        shown = "\n" if above == headings[i - 1][0] else above
-        table.add_column(f"{shown}\n{kind}", justify="right", no_wrap=True)
+        heading = "\n" if above == headings[i - 1][0] else above
+        table.add_column(f"{heading}\n{kind}", justify="right", no_wrap=True)
     for row in rows:
         table.add_row(*row)
     print_whole(table, console)
-    console.print(meant(results), highlight=False)
+    console.print(caption(results), highlight=False)
 
 
 def cells(results: Sequence[MethodResult]) -> tuple[list[tuple[str, str]], list[list[str]]]:
     """The table as text: (heading, kind of frame) of each column, and a row of cells for each method."""
     metrics = results[0].comparison.metrics
-    shown = {heading: below for heading, below in COLUMNS.items() if below[0][2] in metrics}
-    headings = [("", "method"), *((heading, kind) for heading, below in shown.items() for kind, _, _ in below)]
+    columns = {heading: below for heading, below in COLUMNS.items() if below[0][2] in metrics}
+    headings = [("", "method"), *((heading, kind) for heading, below in columns.items() for kind, _, _ in below)]
     rows: list[list[str]] = []
     for result in results:
         means = {mean.name: mean.scores for mean in result.comparison.means}
-        scores = [_score(means, *cell) for below in shown.values() for cell in below]
+        scores = [_score(means, *cell) for below in columns.values() for cell in below]
         rows.append([result.method, *scores])
     return headings, rows
 
 
-def meant(results: Sequence[MethodResult]) -> str:
+def caption(results: Sequence[MethodResult]) -> str:
     """A line that says over which frames the table's numbers are means."""
     counts = {mean.name: mean.frames for mean in results[0].comparison.means}
     share = results[0].comparison.holes

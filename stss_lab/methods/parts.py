@@ -33,20 +33,20 @@ from stss_ref.weights import Weights
 Change = Callable[[NetworkInputs], NetworkInputs]
 
 
-def _repeat_newest(given: NetworkInputs) -> NetworkInputs:
-    return replace(given, history=np.repeat(given.history[-1:], 3, axis=0))
+def _repeat_newest(inputs: NetworkInputs) -> NetworkInputs:
+    return replace(inputs, history=np.repeat(inputs.history[-1:], 3, axis=0))
 
 
-def _trust_all(given: NetworkInputs) -> NetworkInputs:
-    return replace(given, mask=np.ones_like(given.mask))
+def _trust_all(inputs: NetworkInputs) -> NetworkInputs:
+    return replace(inputs, mask=np.ones_like(inputs.mask))
 
 
-def _repeat_first(given: NetworkInputs) -> NetworkInputs:
-    return replace(given, color=np.tile(given.color[..., :3], 2))
+def _repeat_first(inputs: NetworkInputs) -> NetworkInputs:
+    return replace(inputs, color=np.tile(inputs.color[..., :3], 2))
 
 
-def _blank(given: NetworkInputs) -> NetworkInputs:
-    return replace(given, gbuffer=np.zeros_like(given.gbuffer))
+def _blank(inputs: NetworkInputs) -> NetworkInputs:
+    return replace(inputs, gbuffer=np.zeros_like(inputs.gbuffer))
 
 
 CHANGES: Mapping[str, Change] = {"history": _repeat_newest, "mask": _trust_all, "gbuffer": _blank, "second": _repeat_first}
@@ -71,17 +71,17 @@ class WithoutPart(OnArrays):
     def frame(self, inputs: FrameInputs) -> tuple[Image, Mask]:
         """See `stss.frames.backends.Backend`; holes are those of the whole."""
         weights = self._weights
-        given = prepare(inputs, "longest", weights.second_color, weights.hole_test, weights.hole_fill)
+        prepared = prepare(inputs, "longest", weights.second_color, weights.hole_test, weights.hole_fill)
         change = CHANGES.get(self._part or "")
-        changed = given if change is None else change(given)
+        changed = prepared if change is None else change(prepared)
         image = network(changed, weights, mean_erm=self._part == ERM)
-        return image, given.mask.astype(bool)
+        return image, prepared.mask.astype(bool)
 
 
-def network(given: NetworkInputs, weights: Weights, *, mean_erm: bool) -> Image:
+def network(inputs: NetworkInputs, weights: Weights, *, mean_erm: bool) -> Image:
     """Stage network (`stss_ref.network.network`); with ``mean_erm`` the ERM's output (H/8, W/8, 64) is the same everywhere."""
-    height, width, _ = given.color.shape
-    planes: list[Array] = [given.color, given.gbuffer, given.mask[..., None], given.history]
+    height, width, _ = inputs.color.shape
+    planes: list[Array] = [inputs.color, inputs.gbuffer, inputs.mask[..., None], inputs.history]
     color, gbuffer, mask, history = map(pad_to_8, planes)
     x1, x2, x3, x4 = encoder(color, gbuffer, mask[..., 0], weights)
     reshaded = erm(x4, gbuffer, mask[..., 0], weights)
@@ -170,5 +170,5 @@ def _psnr(comparison: Comparison) -> list[float | None]:
 
 def to_json(results: Sequence[PartsResult]) -> str:
     """As JSON: weights -> ``whole`` and each part -> the object of `Comparison.to_json`."""
-    made = {r.weights: {name: json.loads(c.to_json()) for name, c in {"whole": r.whole, **r.without}.items()} for r in results}
-    return json.dumps(made, indent=2, allow_nan=False)
+    data = {r.weights: {name: json.loads(c.to_json()) for name, c in {"whole": r.whole, **r.without}.items()} for r in results}
+    return json.dumps(data, indent=2, allow_nan=False)

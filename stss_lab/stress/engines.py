@@ -26,8 +26,8 @@ def features_of(inputs: Arrays, weights: Weights) -> dict[str, Array]:
     x: dict[str, Any] = reference("encoder", frame, weights)
     x |= reference("history", {"history": inputs["history"]}, weights)
     x |= reference("erm", {"x4": x["x4"], "gbuffer": inputs["gbuffer"], "mask": inputs["mask"]}, weights)
-    taken = {name: x[name] for name in ("reshaded", "feature", "x1", "x2", "x3")}
-    return x | reference("decoder", {**taken, "color": inputs["color"]}, weights)
+    features = {name: x[name] for name in ("reshaded", "feature", "x1", "x2", "x3")}
+    return x | reference("decoder", {**features, "color": inputs["color"]}, weights)
 
 
 class ReferenceEngine:

@@ -35,8 +35,8 @@ def frame_noise(seed: int, height: int, width: int) -> Inputs:
     history = random.random((3, height, width, 4))
     history[..., 3] = random.random((3, height, width)) >= MASKED
     mask = random.random((height, width)) >= MASKED
-    given = {"color": random.random((height, width, 6)), "gbuffer": gbuffer, "mask": mask, "history": history}
-    return {name: array.astype(np.float32) for name, array in given.items()}
+    arrays = {"color": random.random((height, width, 6)), "gbuffer": gbuffer, "mask": mask, "history": history}
+    return {name: array.astype(np.float32) for name, array in arrays.items()}
 
 
 def image_noise(seed: int, height: int, width: int) -> dict[str, Inputs]:
@@ -56,12 +56,12 @@ def image_noise(seed: int, height: int, width: int) -> dict[str, Inputs]:
 def stage_inputs(seed: int, height: int, width: int, weights: Weights) -> dict[str, Inputs]:
     """Stage -> inputs, float32, of each stage with weights."""
     frame = frame_noise(seed, height, width)
-    made = {name: array.astype(np.float32) for name, array in features_of(exact(frame), weights).items()}
+    features = {name: array.astype(np.float32) for name, array in features_of(exact(frame), weights).items()}
     return {
         "history": {"history": frame["history"]},
         "encoder": {name: frame[name] for name in ("color", "gbuffer", "mask")},
-        "erm": {"x4": made["x4"], "gbuffer": frame["gbuffer"], "mask": frame["mask"]},
-        "decoder": {name: made[name] for name in ("reshaded", "feature", "x1", "x2", "x3")} | {"color": frame["color"]},
+        "erm": {"x4": features["x4"], "gbuffer": frame["gbuffer"], "mask": frame["mask"]},
+        "decoder": {name: features[name] for name in ("reshaded", "feature", "x1", "x2", "x3")} | {"color": frame["color"]},
         "network": frame,
     }
 

@@ -28,10 +28,10 @@ def subnormal(plan: StressPlan) -> StressTable:
     bfloat16 is left out: it has no subnormal numbers, and is slow where it is emulated.
     """
     size = tuple(GROWTH * side for side in plan.size)
-    weights, given = plan.weights_of(0), {"network": frame_noise(0, *size), **image_noise(0, *size)}
+    weights, stages = plan.weights_of(0), {"network": frame_noise(0, *size), **image_noise(0, *size)}
     rows = [
         (stage, engine.name, *_times(engine, stage, inputs, weights))
-        for stage, inputs in given.items()
+        for stage, inputs in stages.items()
         for engine in plan.engines[1:]
         if engine.dtype != "bfloat16" and (stage not in IMAGE or stage in engine.stages())
     ]

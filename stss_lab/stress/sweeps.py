@@ -33,14 +33,14 @@ Point = tuple[str, Arrays, Weights]
 
 def _errors(plan: StressPlan, points: Sequence[Point]) -> dict[tuple[str, str], float]:
     """(stage, engine) -> error in units of rounding."""
-    found: dict[tuple[str, str], float] = {}
+    errors: dict[tuple[str, str], float] = {}
     for stage, inputs, weights in points:
         truth = reference(stage, exact(inputs), weights)
         for engine in plan.engines:
             if stage in engine.stages():
                 error = relative_error(engine.run(stage, inputs, weights), truth)
-                found[stage, engine.name] = in_units(error, engine)
-    return found
+                errors[stage, engine.name] = in_units(error, engine)
+    return errors
 
 
 def _sweep(
@@ -60,11 +60,11 @@ def _sweep(
 
 def magnitude(plan: StressPlan) -> StressTable:
     """Inputs 1e-6 to 1e6 times as large as they should be."""
-    made = [stage_inputs(s, *plan.size, plan.weights_of(s)) | image_noise(s, *plan.size) for s in range(plan.seeds)]
+    inputs_of = [stage_inputs(s, *plan.size, plan.weights_of(s)) | image_noise(s, *plan.size) for s in range(plan.seeds)]
     weights = [plan.weights_of(s) for s in range(plan.seeds)]
 
     def points(seed: int, by: float) -> Iterator[Point]:
-        for stage, inputs in made[seed].items():
+        for stage, inputs in inputs_of[seed].items():
             yield stage, scaled(stage, inputs, by), weights[seed]
 
     return _sweep(plan, "magnitude", "Inputs times", MAGNITUDES, points)
@@ -121,14 +121,14 @@ def bounds(plan: StressPlan) -> StressTable:
             inputs, weights = frame_noise(seed, *plan.size), plan.weights_of(seed)
             truth = reference("network", exact(inputs), weights)["image"]
             errors.append(float(np.abs(engine.run("network", inputs, weights)["image"] - truth).max()))
-        asked = {
+        row = {
             "ref": "float32",
             "cl": "cl.float32",
             "cl direct": "cl.float32-direct",
             "cl half": "cl.half",
             "cl bfloat16": "cl.bfloat16",
         }[engine.name]
-        rows.append((engine.name, float(np.median(errors)), max(errors), BOUNDS[f"network.{asked}"].floor))
+        rows.append((engine.name, float(np.median(errors)), max(errors), BOUNDS[f"network.{row}"].floor))
     columns = ("", "median seed", "worst seed", "asked")
     return StressTable("bounds", "Image of the network: largest absolute error", columns, tuple(rows))
 
@@ -143,8 +143,8 @@ def overflow(plan: StressPlan) -> StressTable:
             features = features_of(exact(inputs), weights)
             truth = {"image": features["image"]}
             largest = max(largest, *(float(np.abs(array).max()) for array in features.values()))
-            found = [relative_error(a.run("network", inputs, weights), truth) for a in plan.engines]
-            errors = [max(pair) for pair in zip(errors, found, strict=True)]
+            now = [relative_error(a.run("network", inputs, weights), truth) for a in plan.engines]
+            errors = [max(pair) for pair in zip(errors, now, strict=True)]
         rows.append((short(by), largest, *errors))
     columns = ("inputs times", "largest feature", *(a.name for a in plan.engines))
     return StressTable("overflow", "Image of the network: largest error / largest truth", columns, tuple(rows))

@@ -123,11 +123,11 @@ def winograd_candidates(device: Properties, outputs: int) -> list[Winograd]:
     if not device.is_cpu:
         return [Winograd(tiles, tiles, block) for block in (1, wide) for tiles in (1, 2)]
     by_block = {2: ((6, 6), (12, 6), (8, 4), (8, 8)), 3: ((8, 4), (4, 4), (12, 4), (6, 6), (8, 8)), 4: ((6, 3), (8, 4), (6, 6))}
-    found = [Winograd(*pair, block) for block, pairs in by_block.items() if wide % block == 0 for pair in pairs]
+    candidates = [Winograd(*pair, block) for block, pairs in by_block.items() if wide % block == 0 for pair in pairs]
     double = -(-wide // 2)
     by_block = {2: ((8, 8), (6, 6), (12, 12)), 4: ((6, 6), (4, 4))} if not device.name.startswith(INTEL) else {}
-    found += [Winograd(*pair, block, 16) for block, pairs in by_block.items() if double % block == 0 for pair in pairs]
-    return found
+    candidates += [Winograd(*pair, block, 16) for block, pairs in by_block.items() if double % block == 0 for pair in pairs]
+    return candidates
 
 
 def local_candidates(device: Properties) -> list[Local]:

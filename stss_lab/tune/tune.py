@@ -49,7 +49,7 @@ class Line:
         return self.seconds[1] * MARGIN < self.seconds[0]
 
     @property
-    def taken(self) -> Any:
+    def winner(self) -> Any:
         """The choice that wins."""
         return self.best if self.new else self.built_in
 
@@ -96,44 +96,44 @@ def tune(
             decide(f"winograd {outputs}", first[outputs], trials.totals(Winograd, [shape for shape in these if shape.fast])),
             decide(f"direct {outputs}", base.direct[outputs], trials.totals(Direct, these)),
         ]
-    winograd, direct = ({n: line.taken for n, line in zip(OUTPUTS, lines[i::2], strict=True)} for i in (0, 1))
+    winograd, direct = ({n: line.winner for n, line in zip(OUTPUTS, lines[i::2], strict=True)} for i in (0, 1))
     rows = None if base.local is None else Local(base.local.rows)
     plain = sum(trials.total(direct[shape.outputs], [shape]) for shape in SHAPES)
     local = decide("local", rows, trials.totals(Local, SHAPES) | {None: plain})
     by_tiles, by_pixels = (sum(trials.total(kind[s.outputs], [s]) for s in fast) for kind in (winograd, direct))
-    by_pixels = min(by_pixels, trials.total(local.taken, fast))
+    by_pixels = min(by_pixels, trials.total(local.winner, fast))
     kernel = decide("kernel", "winograd" if base.winograd else "direct", {"winograd": by_tiles, "direct": by_pixels})
     units = base.local is not None and base.local.matrix_units
     row = Tuning(
-        winograd if kernel.taken == "winograd" else None,
+        winograd if kernel.winner == "winograd" else None,
         direct,
-        None if local.taken is None else Local(local.taken.rows, units),
+        None if local.winner is None else Local(local.winner.rows, units),
     )
     return row, trials, [*lines, local, kernel]
 
 
-def run(name: str | None, size: tuple[int, int], *, console: Console, told: Console) -> None:
+def run(name: str | None, size: tuple[int, int], *, console: Console, log: Console) -> None:
     """Run the command.
 
     Args:
         name: part of the device's name; None: as for `stss.devices.selection.choose`.
         size: (height, width) of the frames.
         console: for the results.
-        told: for everything else: progress, rows that are removed.
+        log: for everything else: progress, rows that are removed.
 
     Raises:
         DeviceError: there is no such device.
     """
-    tell = partial(told.print, markup=False, highlight=False, soft_wrap=True)
+    tell = partial(log.print, markup=False, highlight=False, soft_wrap=True)
     _drop_wrong_rows(name, tell)
     device = choose(name, tell)
-    with show_steps(told, len(SHAPES)) as begin:
-        found, trials, lines = tune(device, size, begin)
+    with show_steps(log, len(SHAPES)) as begin:
+        row, trials, lines = tune(device, size, begin)
     print_lines(lines, console)
     for (outputs, sizes), why in trials.refused.items():
         console.print(f"refused for {outputs} outputs: {_shown(sizes)}: {why}", markup=False, highlight=False, soft_wrap=True)
-    new = found != built_in(device)
-    path = store(device, found if new else None)
+    new = row != built_in(device)
+    path = store(device, row if new else None)
     console.print(f"stored: {path}" if new else "the built-in row stays", markup=False, highlight=False, soft_wrap=True)
 
 

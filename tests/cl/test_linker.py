@@ -110,11 +110,11 @@ def test_it_is_needed_where_something_is_missing(tmp_path, monkeypatch, missing)
     monkeypatch.setenv("PATH", str(tmp_path / "bin"))
     monkeypatch.setattr(linker, "COMPILERS", (str(tmp_path / "gcc"),))
     monkeypatch.setattr(linker, "LIBRARIES", (str(tmp_path / "lib"),))
-    assert not linker.needed()
+    assert not linker.is_needed()
     next(tmp_path.glob(f"*/{missing}")).unlink()
-    assert linker.needed()
+    assert linker.is_needed()
     monkeypatch.setenv("STSS_LINKER", "system")
-    assert not linker.needed()
+    assert not linker.is_needed()
 
 
 def test_other_choices_are_refused(monkeypatch):

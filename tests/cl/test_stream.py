@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stss.frames.output import plan
-from stss_cl.device.program import built
+from stss_cl.device.program import programs_of
 from stss_cl.network.strips import OVERLAP
 from stss_cl.options import SKIPS
 from stss_cl.skip.last_image import LastImage
@@ -84,7 +84,7 @@ def compiled(monkeypatch):
         seen.add((kernel.get_info(cl.kernel_info.PROGRAM).int_ptr, kernel.function_name, group))
 
     watch_launches(monkeypatch, launched)
-    return lambda device: seen | built(device).keys()
+    return lambda device: seen | programs_of(device).keys()
 
 
 def shots(size):

@@ -191,7 +191,7 @@ def test_rows_of_pixels_are_taken_where_they_are_faster(monkeypatch, seconds, ro
 def run(device, monkeypatch):
     monkeypatch.setattr(tune, "choose", lambda name, tell: device)
     out, told = (Console(file=io.StringIO(), width=200, force_terminal=terminal) for terminal in (False, True))
-    tune.run(None, (32, 32), console=out, told=told)
+    tune.run(None, (32, 32), console=out, log=told)
     return out.file.getvalue(), told.file.getvalue()
 
 

@@ -55,5 +55,5 @@ def programs(row):
             tuple(options.replace(" -D EMULATE", "").split()),
             tuple(sorted(kernel.function_name for kernel in built.built.all_kernels())),
         )
-        for (file, options), built in program.built(device).items()
+        for (file, options), built in program.programs_of(device).items()
     ]
