@@ -127,8 +127,8 @@ def conform(
         _require_options("with --onnx", OF_STAGES)
         options = {"dtype": dtype or "float32", "winograd": winograd, "tier": tier, "seed": seed}
         command = _command(spec, program, dtype, None, winograd=winograd, onnx=onnx)
-        wanted = json_file, junit, report
-        sys.exit(_judge_model(onnx, spec, program, timeout, shapes, files, replay, options, failures, command, wanted))
+        reports = json_file, junit, report
+        sys.exit(_judge_model(onnx, spec, program, timeout, shapes, files, replay, options, failures, command, reports))
     _require_options("without --onnx", OF_MODELS)
     from conformance.judging.judge import TIERS, Judge
     from conformance.judging.known_failures import KnownFailuresError, read_known
@@ -142,12 +142,14 @@ def conform(
     if write_cases is not None:
         if spec is not None or program is not None:
             raise InputError("--write-cases: expected neither --port nor --exec: what is right depends on no port")
-        asked = [stage for stage in SUITE if stages is None or stage in stages]
-        index = case_archive.write_cases(write_cases, asked, TIERS[tier], seed, dtype or "float32", winograd=winograd, tell=echo)
+        to_write = [stage for stage in SUITE if stages is None or stage in stages]
+        index = case_archive.write_cases(
+            write_cases, to_write, TIERS[tier], seed, dtype or "float32", winograd=winograd, tell=echo
+        )
         echo(f"{write_cases}: {len(index['cases'])} cases, inputs {index['inputs_sha256'][:16]}")
         return
-    needed = {stage_needed(stage) for stage in (*(stages or SUITE), *(require or ()))}
-    port, abilities = load_port(spec, program, timeout, dtype, winograd, weights_version, needed if replay is None else SUITE)
+    needs = {stage_needed(stage) for stage in (*(stages or SUITE), *(require or ()))}
+    port, abilities = load_port(spec, program, timeout, dtype, winograd, weights_version, needs if replay is None else SUITE)
     # The modules that the port has imported are read, too.
     require_places({"--json": json_file, "--junit": junit, "--report": report}, loaded_files())
     if replay is not None:
@@ -167,7 +169,7 @@ def conform(
 
 def _judge_model(
     path: Path, spec: str | None, program: str | None, timeout: float, shapes: tuple[str, ...], files: tuple[str, ...],
-    replay: Path | None, options: dict[str, Any], failures: Path, command: str, wanted: tuple[Path | None, Path | None, Path | None],
+    replay: Path | None, options: dict[str, Any], failures: Path, command: str, reports: tuple[Path | None, Path | None, Path | None],
 ) -> int:  # fmt: skip
     from conformance.answers.port_arithmetic import Arithmetic
     from conformance.graph.cases import read_case, read_failure
@@ -188,12 +190,12 @@ def _judge_model(
         sizes[name] = int(number)
     _require_folder(failures)
     model = load_model(path)
-    given = [read_case(model, files)] if files else [] if replay is None else read_failure(model, replay)
+    inputs = [read_case(model, files)] if files else [] if replay is None else read_failure(model, replay)
     port = load_graph_port(model, spec, program, timeout)
     # The modules that the port has imported are read, too.
-    require_places(dict(zip(("--json", "--junit", "--report"), wanted, strict=True)), loaded_files())
+    require_places(dict(zip(("--json", "--junit", "--report"), reports, strict=True)), loaded_files())
     rounding = Rounding(Arithmetic(options["dtype"], options["winograd"]))
-    outcome = judge_port(model, port, rounding, tier=options["tier"], seed=options["seed"], fixed=sizes, given=given)
+    outcome = judge_port(model, port, rounding, tier=options["tier"], seed=options["seed"], fixed=sizes, own_inputs=inputs)
     print_outcome(outcome, Terminal())
     folder = None
     if outcome.failure is not None and replay is None:
@@ -203,7 +205,7 @@ def _judge_model(
             echo(f"not kept: {error}; --failures takes another folder")
         else:
             echo(f"{command} --replay {shlex.quote(str(folder))}")
-    write_files(outcome, model, port, options, folder, *wanted)
+    write_files(outcome, model, port, options, folder, *reports)
     return 0 if outcome.passes else 1
 
 

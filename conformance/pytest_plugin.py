@@ -46,17 +46,17 @@ def pytest_configure(config: pytest.Config) -> None:
     """Load the port, and let its judge take the results."""
     if config.option.help or config.option.version:
         return
-    given = config.option
+    options = config.option
     try:
         port, abilities = load_port(
-            given.port, given.exec, given.start_timeout, given.dtype, given.winograd, given.weights_version
+            options.port, options.exec, options.start_timeout, options.dtype, options.winograd, options.weights_version
         )
-        known = read_known(given.known_failures) if given.known_failures is not None else []
-        require_known(known)
+        failures = read_known(options.known_failures) if options.known_failures is not None else []
+        require_known(failures)
     except (InputError, KnownFailuresError) as error:
         raise pytest.UsageError(str(error)) from error
-    judge = Judge(port, TIERS[given.tier], given.seed, abilities=abilities)
-    words = ("--port", given.port) if given.port is not None else ("--exec", given.exec)
+    judge = Judge(port, TIERS[options.tier], options.seed, abilities=abilities)
+    words = ("--port", options.port) if options.port is not None else ("--exec", options.exec)
     again = shlex.join(["stss", "conform", *words])
 
     def keep(result: TestResult, _: int) -> None:
@@ -67,7 +67,7 @@ def pytest_configure(config: pytest.Config) -> None:
     # The user's own settings for warnings do not count: wrong numbers give some. Whole weights are not printed.
     config.addinivalue_line("filterwarnings", "ignore")
     np.set_printoptions(threshold=0, edgeitems=1)
-    config.pluginmanager.register(SuitePlugin(judge, known, set(SUITE), on_result=keep), NAME)
+    config.pluginmanager.register(SuitePlugin(judge, failures, set(SUITE), on_result=keep), NAME)
 
 
 @pytest.hookimpl(trylast=True)
@@ -86,5 +86,5 @@ def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> Non
 
 
 def _amiss(plugin: SuitePlugin) -> list[str]:
-    lost = [f"a failure could not be kept: {plugin.raised}"] if plugin.raised is not None else []
-    return [result.message for result in plugin.results if result.id == JUDGED] + lost
+    faults = [f"a failure could not be kept: {plugin.raised}"] if plugin.raised is not None else []
+    return [result.message for result in plugin.results if result.id == JUDGED] + faults

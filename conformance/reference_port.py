@@ -95,10 +95,10 @@ def _run_case(case: Path, port: Any, weights: WeightsFiles, *, dump: bool) -> No
         return
     try:
         inputs = read_inputs(case, stage)
-        given = weights.read(case) if STAGES[stage].weights else None
-        outputs = port.run(stage, inputs, given)
-        asked = dump or (case / LAYERS).exists()
-        layers = port.layers(stage, inputs, given) if asked and given is not None else {}
+        tensors = weights.read(case) if STAGES[stage].weights else None
+        outputs = port.run(stage, inputs, tensors)
+        with_layers = dump or (case / LAYERS).exists()
+        layers = port.layers(stage, inputs, tensors) if with_layers and tensors is not None else {}
     except (ArrayError, DeviceError) as error:
         raise JobError(f"{case}: {error}") from error
     except MemoryError as error:

@@ -66,8 +66,8 @@ class Expected:
         if not self.vectors:
             return ratio
         ratio = np.broadcast_to(ratio.max(axis=-1, keepdims=True), ratio.shape)
-        lost = [~np.isfinite(a).all(axis=-1, keepdims=True) for a in (got, want)]
-        return np.where(lost[0] & lost[1], 0.0, ratio)
+        non_finite = [~np.isfinite(a).all(axis=-1, keepdims=True) for a in (got, want)]
+        return np.where(non_finite[0] & non_finite[1], 0.0, ratio)
 
 
 def mask(want: Bool, unsure: Bool) -> Expected:

@@ -24,7 +24,7 @@ from stss_ref.frame import is_missing
 from stss_ref.sample import taps
 from stss_ref.weights import Weights
 
-Seen = tuple[NDArray[Any], Reach, NDArray[Any], NDArray[np.bool_]]
+WarpedFrame = tuple[NDArray[Any], Reach, NDArray[Any], NDArray[np.bool_]]
 """A colour frame that is warped, for detail: its colour (H, W, 3), where its motion leads, its stencil, and where it counts, (H, W)."""
 
 
@@ -39,7 +39,7 @@ def expect_frame(inputs: dict[str, NDArray[Any]], weights: Weights, arithmetic: 
         arithmetic: of the port.
     """
     steps = [int(step) for step in inputs["steps"]]
-    seen: list[Seen] = []
+    frames: list[WarpedFrame] = []
     filled: NDArray[Any] | float = 0.0
     for i, step in enumerate(steps):
         if step == 0:
@@ -55,45 +55,47 @@ def expect_frame(inputs: dict[str, NDArray[Any]], weights: Weights, arithmetic: 
             "nov": inputs["nov"], "depth": depth, "paper": np.array([weights.hole_test == "paper"], np.int32),
         }  # fmt: skip
         valid = expect_holes({"motion": motion, **planes}, arithmetic, off)["valid"]
-        given = {"color": color, "warped": color, "motion": motion, "valid": valid.want}
+        warping = {"color": color, "warped": color, "motion": motion, "valid": valid.want}
         if chain.undecided or valid.undecided:
             return {}
         if i == 0 and weights.hole_fill == "reshade":
             surfaces = {name: plane for name, plane in planes.items() if name not in ("nov", "depth", "paper")}
-            expected, undecided = expect_reshade(given | surfaces | {"base_color": inputs["gbuffer"][..., 6:9]}, arithmetic, off)
+            expected, undecided = expect_reshade(
+                warping | surfaces | {"base_color": inputs["gbuffer"][..., 6:9]}, arithmetic, off
+            )
             if undecided.any():
                 return {}
             filled = np.asarray(expected["reshade"].allowed)
-        elif i == 0 and expect_occlusion_warp(given | {"depth": depth}, arithmetic, off=off)["occlusion_motion"].undecided:
+        elif i == 0 and expect_occlusion_warp(warping | {"depth": depth}, arithmetic, off=off)["occlusion_motion"].undecided:
             return {}
         at = reach(motion, arithmetic, off)
         inside, unsure = within_frame(at)
         if weights.second_color == "detail" and unsure.any():
             return {}
-        seen.append((color, at, planes["stencil_previous"], inside & (not is_missing(steps, i))))
-    made = network_inputs(inputs, weights)
-    first, is_detailed = made["color"][..., :3], weights.second_color == "detail"
-    errors = detail_errors(first, inputs["stencils"][0], seen, arithmetic) if is_detailed else (0.0, 0.0)
+        frames.append((color, at, planes["stencil_previous"], inside & (not is_missing(steps, i))))
+    prepared = network_inputs(inputs, weights)
+    first, is_detailed = prepared["color"][..., :3], weights.second_color == "detail"
+    errors = detail_errors(first, inputs["stencils"][0], frames, arithmetic) if is_detailed else (0.0, 0.0)
     # The second colour is less the first one's luma, and has a part of it.
     rounded, moved = (np.broadcast_to(error, first.shape) for error in errors)
     rounded = np.concatenate([0 * first + filled, rounded + (filled if is_detailed else 0)], axis=-1)
-    return expect_with_weights("network", made, weights, arithmetic, (rounded, np.concatenate([0 * moved, moved], axis=-1)))
+    return expect_with_weights("network", prepared, weights, arithmetic, (rounded, np.concatenate([0 * moved, moved], axis=-1)))
 
 
-def detail_errors(first: NDArray[Any], stencil: NDArray[Any], seen: Sequence[Seen], arithmetic: Arithmetic) -> Errors:
+def detail_errors(first: NDArray[Any], stencil: NDArray[Any], frames: Sequence[WarpedFrame], arithmetic: Arithmetic) -> Errors:
     """The most by which a port's second colour ``detail`` is off: docs/conformance.md, Second colour.
 
     Args:
         first: (H, W, 3) the first colour.
         stencil: (H, W) object number.
-        seen: the frames that are warped.
+        frames: the frames that are warped.
         arithmetic: of the port.
     """
     own = luma(first)
     most, least, peak = own, own, luma(np.abs(first))
     total = np.full((2, 2, *own.shape), OWN)
     change = np.zeros((2, *total.shape))  # of the weights: by the port's own rounding, and by that of its motion
-    for color, at, numbers, counts in seen:
+    for color, at, numbers, counts in frames:
         cell = taps(at.at)
         light, bright = luma(color), luma(np.abs(color))
         most, least, peak = (

@@ -41,11 +41,11 @@ def expect_motion_chain(inputs: dict[str, NDArray[Any]], arithmetic: Arithmetic)
             off = np.where(np.isfinite(chained), off + sum_error(chained, off, arithmetic), 0)
     answers = {(int(y), int(x)): _answers(motions, int(y), int(x), arithmetic) for y, x in np.argwhere(unsure)}
     want, others = chained.copy(), [chained.copy() for _ in range(max((len(a) for a in answers.values()), default=1) - 1)]
-    for pixel, found in answers.items():
-        want[pixel] = found[0][0]
-        off[pixel] = np.max([wrong for _, wrong in found], axis=0)
+    for pixel, pairs in answers.items():
+        want[pixel] = pairs[0][0]
+        off[pixel] = np.max([wrong for _, wrong in pairs], axis=0)
         for i, other in enumerate(others):
-            other[pixel] = found[min(i + 1, len(found) - 1)][0]
+            other[pixel] = pairs[min(i + 1, len(pairs) - 1)][0]
     return {"motion": Expected(want, off + arithmetic.tiny, tuple(others), vectors=True)}
 
 
@@ -123,7 +123,7 @@ def _longest(earlier: NDArray[Any], row: int, column: int, arithmetic: Arithmeti
         return [np.zeros(2)]
     lengths = _lengths(four)
     first = int(lengths.argmax())
-    found = [four[first]]
+    candidates = [four[first]]
     for i in range(4):
         alike = (np.abs(four[i]) == np.abs(four[first])).all() or lengths[i] == np.inf == lengths[first]
         if (
@@ -131,8 +131,8 @@ def _longest(earlier: NDArray[Any], row: int, column: int, arithmetic: Arithmeti
             and lengths[i] >= _least(lengths[first], arithmetic)
             and not _surely_shorter(four, lengths, i, first, arithmetic)
         ):
-            found.append(four[i])
-    return [*found, np.zeros(2)] if (size < max(SMALL, arithmetic.tiny)).any() else found
+            candidates.append(four[i])
+    return [*candidates, np.zeros(2)] if (size < max(SMALL, arithmetic.tiny)).any() else candidates
 
 
 def _surely_shorter(four: NDArray[Any], lengths: NDArray[Any], i: int, first: int, arithmetic: Arithmetic) -> bool:

@@ -38,8 +38,8 @@ def expect_occlusion_warp(
     motion = inputs["motion"]
     at = reach(motion, arithmetic, off)
     maps = _maps(at, motion, inputs["depth"])
-    lost = np.max([arithmetic.flushed(each) for each in maps], axis=0)
-    expected = Expected(maps[0], lost, tuple(maps[1:]), vectors=True)
+    flush = np.max([arithmetic.flushed(each) for each in maps], axis=0)
+    expected = Expected(maps[0], flush, tuple(maps[1:]), vectors=True)
     by = (got["occlusion_motion"] if got else maps[0]).astype(np.float64)
     valid = inputs["valid"].astype(bool)[..., None]
     instead, allowed = interpolated(inputs["color"], reach(by, arithmetic), arithmetic)
@@ -54,11 +54,11 @@ def _maps(at: Reach, motion: NDArray[Any], depth: NDArray[Any]) -> list[NDArray[
         return [splat(motion, depth)[cell.y0, cell.x0]]
     definite, maybe = _splats(at, depth)
     answers = _look_up(at, motion, definite, maybe)
-    most = max(len(found) for found in answers.values())
+    most = max(len(motions) for motions in answers.values())
     maps = [np.empty_like(motion) for _ in range(most)]
-    for pixel, found in answers.items():
+    for pixel, motions in answers.items():
         for i, each in enumerate(maps):
-            each[pixel] = found[min(i, len(found) - 1)]
+            each[pixel] = motions[min(i, len(motions) - 1)]
     return maps
 
 
@@ -80,11 +80,11 @@ def _splats(at: Reach, depth: NDArray[Any]) -> tuple[dict[Cell, Key], dict[Cell,
             continue
         rows, columns = _cells(at, y, x)
         key = (float(depth[y, x]), index)
-        written = [{(r + j, c + i) for j in (0, 1) for i in (0, 1)} for r, c in product(rows, columns)]
-        for cell in set[Cell].union(*written):
+        cells = [{(r + j, c + i) for j in (0, 1) for i in (0, 1)} for r, c in product(rows, columns)]
+        for cell in set[Cell].union(*cells):
             if not (0 <= cell[0] < height and 0 <= cell[1] < width):
                 continue
-            if all(cell in way for way in written):
+            if all(cell in way for way in cells):
                 definite[cell] = min(definite[cell], key, key=_order)
             else:
                 maybe[cell].append(key)
@@ -104,11 +104,11 @@ def _look_up(
     answers: dict[Cell, list[NDArray[np.float64]]] = {}
     for y, x in np.ndindex(height, width):
         rows, columns = _cells(at, y, x)
-        found: dict[int, None] = {}
+        sources: dict[int, None] = {}
         for r, c in product(sorted(rows), sorted(columns)):
             cell = min(max(r, 0), height - 1), min(max(c, 0), width - 1)
             best = definite[cell]
             for key in (best, *(k for k in maybe.get(cell, ()) if _order(k) < _order(best))):
-                found[key[1]] = None
-        answers[y, x] = [flat[index] for index in found]
+                sources[key[1]] = None
+        answers[y, x] = [flat[index] for index in sources]
     return answers

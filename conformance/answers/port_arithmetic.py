@@ -69,13 +69,13 @@ class Arithmetic:
             return np.ascontiguousarray(x)
         most = LIMITS[self.dtype][0] if most is None else most
         with np.errstate(over="ignore"):
-            held = self._stored(np.where(np.isfinite(x), np.clip(x, -most, most), x))
-        return np.ascontiguousarray(held.astype(np.float32))
+            numbers = self._stored(np.where(np.isfinite(x), np.clip(x, -most, most), x))
+        return np.ascontiguousarray(numbers.astype(np.float32))
 
     def normal(self, x: NDArray[Any]) -> NDArray[Any]:
         """`rounded`, and 0 for what is no normal number: a port may have 0 there, and the direction of a key of such numbers is lost."""
-        held = self.rounded(x)
-        return np.where(np.abs(held) < self.tiny, held.dtype.type(0), held)
+        numbers = self.rounded(x)
+        return np.where(np.abs(numbers) < self.tiny, numbers.dtype.type(0), numbers)
 
     def _stored(self, x: NDArray[Any]) -> NDArray[Any]:
         """``x`` in the arithmetic's numbers, the nearest, ties to even."""
@@ -133,10 +133,10 @@ def sum_error(total: Float64, off: Float64 | float, arithmetic: Arithmetic) -> F
 
 def ways(whole: int, fraction: float, off: float) -> list[tuple[int, float]]:
     """The places, each a whole pixel and a fraction, where a motion with an error of up to ``off`` may lead along an axis."""
-    found = [(whole, fraction)]
+    pairs = [(whole, fraction)]
     for moved in (fraction - off, fraction + off) if off > 0 else ():
-        found.append((whole + math.floor(moved), moved - math.floor(moved)))
-    return found
+        pairs.append((whole + math.floor(moved), moved - math.floor(moved)))
+    return pairs
 
 
 def _near_whole(fraction: Plane, off: Float64) -> Bool:

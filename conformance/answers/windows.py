@@ -99,15 +99,15 @@ def _image_window(stage: str, inputs: Inputs, arithmetic: Arithmetic, outputs: O
     specs = STAGES[stage].outputs
     answer = {name: array[_place(specs[name], around)] for name, array in outputs.items()}
     right = expect(stage, _cut(stage, inputs, around), None, arithmetic, answer)
-    found: dict[str, tuple[tuple[slice, ...], Expected]] = {}
+    parts: dict[str, tuple[tuple[slice, ...], Expected]] = {}
     for name, expected in right.items():
         own = _place(specs[name], window, around)
         allowed: Any = expected.allowed
         if isinstance(allowed, np.ndarray):
             allowed = np.broadcast_to(allowed, expected.want.shape)[own]
         others = tuple(other[own] for other in expected.others)
-        found[name] = _place(specs[name], window), replace(expected, want=expected.want[own], allowed=allowed, others=others)
-    return Window(*window, found)
+        parts[name] = _place(specs[name], window), replace(expected, want=expected.want[own], allowed=allowed, others=others)
+    return Window(*window, parts)
 
 
 def _around(window: tuple[slice, slice], whole: tuple[int, int], reach: int) -> tuple[slice, slice]:
@@ -125,14 +125,14 @@ def _cut(stage: str, inputs: Inputs, around: tuple[slice, slice]) -> Inputs:
 def _place(spec: ArraySpec, window: tuple[slice, slice], origin: tuple[slice, slice] | None = None) -> tuple[slice, ...]:
     """Where an array has this window, in a part of the frame that begins at ``origin``."""
     first = {"H": 0, "W": 0} if origin is None else {"H": origin[0].start, "W": origin[1].start}
-    found: list[slice] = []
+    slices: list[slice] = []
     for dim in spec.dims:
         if dim.letter not in first:
-            found.append(slice(None))
+            slices.append(slice(None))
             continue
         own = window[0 if dim.letter == "H" else 1]
-        found.append(slice(*((at - first[dim.letter]) * dim.times // dim.over for at in (own.start, own.stop))))
-    return tuple(found)
+        slices.append(slice(*((at - first[dim.letter]) * dim.times // dim.over for at in (own.start, own.stop))))
+    return tuple(slices)
 
 
 def _corners_of(first: tuple[int, int], whole: tuple[int, ...], size: tuple[int, ...]) -> Any:
@@ -140,10 +140,10 @@ def _corners_of(first: tuple[int, int], whole: tuple[int, ...], size: tuple[int,
 
     def upsample_corners(x: NDArray[Any]) -> NDArray[Any]:
         for axis in (0, 1):
-            held = x.shape[axis]
-            n, begin = whole[axis] * held // size[axis], first[axis] * held // size[axis]
-            at = (np.arange(2 * held) + 2 * begin) * ((n - 1) / (2 * n - 1)) - begin
-            x = lerp_along(x, np.clip(at, 0, held - 1), axis)
+            length = x.shape[axis]
+            n, begin = whole[axis] * length // size[axis], first[axis] * length // size[axis]
+            at = (np.arange(2 * length) + 2 * begin) * ((n - 1) / (2 * n - 1)) - begin
+            x = lerp_along(x, np.clip(at, 0, length - 1), axis)
         return x
 
     return upsample_corners

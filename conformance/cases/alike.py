@@ -109,7 +109,7 @@ def _rows(stage: str, name: str) -> tuple[int, int]:
 
 
 def _by_name(table: dict[str, Any], name: str, default: Any) -> Any:
-    return next((found for beginning, found in table.items() if name.startswith(beginning)), default)
+    return next((value for beginning, value in table.items() if name.startswith(beginning)), default)
 
 
 def _other_weights(stage: str, weights: Weights) -> Iterator[tuple[str, Weights]]:

@@ -77,15 +77,15 @@ def _reshade(rng: Generator) -> Inputs:
 
 def _frame(second: SecondColor, fill: HoleFill, rng: Generator) -> tuple[Inputs, Weights]:
     """Lost motion and lost positions lie in every frame, and stencils of every size."""
-    inputs, given = frame_case(SIZE, rng, second, fill=fill)
-    lost = rng.choice([np.nan, np.inf, -np.inf], SIZE)
+    inputs, weights = frame_case(SIZE, rng, second, fill=fill)
+    values = rng.choice([np.nan, np.inf, -np.inf], SIZE)
     motions = np.stack([_motion(rng, SIZE) for _ in range(len(inputs["motions"]) + MORE_MOTIONS)])
     positions = inputs["positions"].copy()
     for plane in (*motions, *positions):
-        gone = rng.random(SIZE) < 0.03
-        plane[gone, 0] = lost[gone]
+        where = rng.random(SIZE) < 0.03
+        plane[where, 0] = values[where]
     previous, now = _stencils(rng, SIZE)
-    return {**inputs, "motions": motions, "positions": positions, "stencils": np.stack([now, previous, now, previous])}, given
+    return {**inputs, "motions": motions, "positions": positions, "stencils": np.stack([now, previous, now, previous])}, weights
 
 
 _MADE: dict[str, tuple[Callable[[Generator], Any], ...]] = {

@@ -28,7 +28,7 @@ LAST = {"history": "lowlevelGated.conv_feature", "encoder": "conv2.conv_feature"
 
 def tapped(rng: Generator, taps: tuple[float, ...], biases: tuple[float, ...] = (0.0,)) -> Tensors:
     """Weights with which every output of a layer is a sum of a few inputs, each times one of ``taps``, and of one of ``biases``."""
-    made: Tensors = {}
+    tensors: Tensors = {}
     for name, shape in TENSORS.items():
         tensor = np.zeros(shape, np.float32)
         if "conv_mask" in name:
@@ -39,8 +39,8 @@ def tapped(rng: Generator, taps: tuple[float, ...], biases: tuple[float, ...] = 
             flat = tensor.reshape(shape[0], -1)
             for row in flat:
                 row[rng.choice(row.size, len(taps), replace=False)] = taps[: row.size]
-        made[name] = tensor
-    return made
+        tensors[name] = tensor
+    return tensors
 
 
 def eighths(stage: str, rng: Generator, size: Size) -> Inputs:
@@ -53,14 +53,14 @@ def eighths(stage: str, rng: Generator, size: Size) -> Inputs:
 def exact_inputs(draw: st.DrawFn, stage: str, size: st.SearchStrategy[Size]) -> tuple[Inputs, Weights]:
     """Draw a case whose computation needs no rounding."""
     rng = np.random.default_rng(draw(SEEDS))
-    inputs, given = eighths(stage, rng, draw(size)), tapped(rng, ADDED, (-1.0, 0.0, 1.0))
+    inputs, weights = eighths(stage, rng, draw(size)), tapped(rng, ADDED, (-1.0, 0.0, 1.0))
     if stage == "decoder":
         # Interpolation is exact only in a flat image, so enlarged features are flat up to the last layers.
         inputs |= {name: np.broadcast_to(inputs[name][:1, :1], inputs[name].shape) for name in inputs if name != "x1"}
-        for name, tensor in given.items():
+        for name, tensor in weights.items():
             if name.startswith(("up1", "up2")) and name.endswith("weight"):
-                given[name] = _centred(tensor)
-    return inputs, Weights(given)
+                weights[name] = _centred(tensor)
+    return inputs, Weights(weights)
 
 
 def _centred(tensor: NDArray[Any]) -> NDArray[Any]:
@@ -77,21 +77,21 @@ def rounded_sums(draw: st.DrawFn, stage: str) -> tuple[Inputs, Weights]:
     Its products have one sign, and none or half of them are 0, so that a sum that always rounds to one side ends far from the truth.
     """
     rng = np.random.default_rng(draw(SEEDS))
-    inputs, given = eighths(stage, rng, (64, 64) if stage == "history" else (16, 16)), tapped(rng, (1.0,))
+    inputs, weights = eighths(stage, rng, (64, 64) if stage == "history" else (16, 16)), tapped(rng, (1.0,))
     if draw(st.booleans()):
         inputs = {name: array * (rng.random(array.shape) < 0.5) for name, array in inputs.items()}
     if stage == "decoder":
         inputs = {name: array * (name == "x1") for name, array in inputs.items()}
-        _copy_x1(given)
+        _copy_x1(weights)
     name = f"{LAST[stage]}.weight"
     # A ReLU follows the encoder's layer.
     sign = 1.0 if stage == "encoder" else draw(st.sampled_from([1.0, -1.0]))
-    given[name] = (rng.uniform(0, 1, given[name].shape) * sign).astype(np.float32)
-    return inputs, Weights(given)
+    weights[name] = (rng.uniform(0, 1, weights[name].shape) * sign).astype(np.float32)
+    return inputs, Weights(weights)
 
 
-def _copy_x1(given: Tensors) -> None:
+def _copy_x1(weights: Tensors) -> None:
     """Make ``up3`` copy ``x1``, the first of its inputs, so that the decoder's last layer reads ``x1`` itself."""
     for name in ("up3.conv.double_conv.0.weight", "up3.conv.double_conv.2.weight"):
-        given[name] = np.zeros_like(given[name])
-        given[name][range(24), range(24), 1, 1] = 1
+        weights[name] = np.zeros_like(weights[name])
+        weights[name][range(24), range(24), 1, 1] = 1

@@ -42,7 +42,7 @@ MOST_HOLES = 8_000
 """About the most holes of a frame for stage reshade that is judged as a whole: the reference looks at 289 pixels around each."""
 SHORT = 8
 """Longest motion of frames that are judged in windows; pixels."""
-Made = Callable[[Generator], Any]
+MakeCase = Callable[[Generator], Any]
 
 
 def short_motion(rng: Generator, size: Size) -> NDArray[np.float64]:
@@ -117,11 +117,11 @@ def network_case(stage: str, size: Size, rng: Generator) -> tuple[Inputs, Weight
         "x1": (height, width, 24), "x2": (height // 2, width // 2, 24), "x3": (height // 4, width // 4, 32),
         "x4": (height // 8, width // 8, 32), "reshaded": (height // 8, width // 8, 64), "feature": (height // 8, width // 8, 32),
     }  # fmt: skip
-    taken = {
+    names = {
         "history": ("history",), "encoder": ("color", "gbuffer"), "erm": ("x4", "gbuffer"),
         "decoder": ("reshaded", "feature", "x1", "x2", "x3", "color"), "network": ("color", "gbuffer", "history"),
     }[stage]  # fmt: skip
-    inputs: Inputs = {name: rng.random(shapes[name], np.float32) for name in taken}
+    inputs: Inputs = {name: rng.random(shapes[name], np.float32) for name in names}
     if stage in ("encoder", "erm", "network"):
         inputs["mask"] = (rng.random(size) < 0.8).astype(np.float64)
     return inputs, made_weights("random", 0)
@@ -158,7 +158,7 @@ _IMAGE: dict[str, Callable[[Moving, Size, Generator], Inputs]] = {
 }  # fmt: skip
 
 
-def large_inputs(stage: str, most: int | None = None, size: Size | None = None, side: int | None = None) -> tuple[Made, ...]:
+def large_inputs(stage: str, most: int | None = None, size: Size | None = None, side: int | None = None) -> tuple[MakeCase, ...]:
     """The large cases of a stage: inputs, and weights if the stage takes them; the slowest last.
 
     Args:
@@ -168,15 +168,15 @@ def large_inputs(stage: str, most: int | None = None, size: Size | None = None, 
         side: the most rows or columns of any array, outputs too; larger cases are cut to that, and ``size`` is left out; None: any.
     """
     scale = 2 if stage in ("decoder", "network", "frame") else 1
-    asked = [_taken(stage, size)] if size is not None else []
-    own = [*_sizes(stage)[:most], *(each for each in asked if side is None or scale * max(each) <= side)]
+    extra = [_fitting_size(stage, size)] if size is not None else []
+    own = [*_sizes(stage)[:most], *(each for each in extra if side is None or scale * max(each) <= side)]
     largest = max(map(max, own), default=0) if side is None else side // scale // 8 * 8
-    return tuple(_made(stage, i, (min(height, largest), min(width, largest))) for i, (height, width) in enumerate(own))
+    return tuple(_case(stage, i, (min(height, largest), min(width, largest))) for i, (height, width) in enumerate(own))
 
 
-def user_inputs(stage: str, most: int, side: int | None = None) -> tuple[Made, ...]:
+def user_inputs(stage: str, most: int, side: int | None = None) -> tuple[MakeCase, ...]:
     """The cases of a stage that are judged in windows, at sizes of users: none that a port does not take."""
-    sizes = [_taken(stage, size) for size in user_sizes(stage, most, side)]
+    sizes = [_fitting_size(stage, size) for size in user_sizes(stage, most, side)]
     if stage == "frame":
         # Stage reshade is judged at these sizes by itself: the reference's fill of so many holes takes longer than all the rest.
         return tuple(partial(frame_case, size, second="detail", steps=(1, 2, 3)) for size in sizes)
@@ -208,13 +208,13 @@ def _sizes(stage: str) -> tuple[Size, ...]:
     return ANY_SIZES if stage in ("network", "frame") else NETWORK_SIZES
 
 
-def _taken(stage: str, size: Size) -> Size:
+def _fitting_size(stage: str, size: Size) -> Size:
     """A size that the stage takes, at least ``size``."""
     height, width = size
     return size if stage in _IMAGE or stage in ("network", "frame") else (-(-height // 8) * 8, -(-width // 8) * 8)
 
 
-def _made(stage: str, number: int, size: Size) -> Made:
+def _case(stage: str, number: int, size: Size) -> MakeCase:
     if stage in _IMAGE:
         return partial(_IMAGE[stage], motion, size)
     if stage == "frame":

@@ -274,16 +274,16 @@ def scene_inputs(draw: st.DrawFn) -> Inputs:
     depth = np.where(np.isfinite(now.depth), now.depth, 0)
     depth = depth / max(depth.max(), 1e-6)
     rest = np.stack([depth, now.roughness, now.metallic], axis=-1)
-    seen = [now, *(frames[step] for step in back)]
+    views = [now, *(frames[step] for step in back)]
     return {
         "colors": np.stack([np.clip(frames[step].color, 0, 1) for step in back]),
         "steps": np.array(back, np.int32),
         "motions": np.stack([frame.motion for frame in frames[: max(back)]]),
         "gbuffer": np.concatenate([now.normal, rest, now.base_color], axis=-1),
         "nov": now.nov,
-        "stencils": np.stack([frame.stencil for frame in seen]),
-        "normals": np.stack([frame.normal for frame in seen]),
-        "positions": np.stack([frame.position for frame in seen]),
+        "stencils": np.stack([frame.stencil for frame in views]),
+        "normals": np.stack([frame.normal for frame in views]),
+        "positions": np.stack([frame.position for frame in views]),
     }
 
 
@@ -319,16 +319,16 @@ def made_weights(
     fill: HoleFill = "occlusion_warp",
 ) -> Weights:
     """Weights of ``stss_ref.weights.random``, as they are, thinned out, enlarged, or with keys near the clamps of spec 8."""
-    made = dict(random(seed))
+    tensors = dict(random(seed))
     rng = np.random.default_rng(seed)
     for name in TENSORS:
         if kind == "sparse":
-            made[name] = np.where(rng.random(made[name].shape) < 0.1, made[name] * 3, 0).astype(np.float32)
+            tensors[name] = np.where(rng.random(tensors[name].shape) < 0.1, tensors[name] * 3, 0).astype(np.float32)
         elif kind == "large":
-            made[name] = made[name] * np.float32(2)
+            tensors[name] = tensors[name] * np.float32(2)
         elif kind in ("small keys", "faint keys") and name.startswith("KEncoder.4"):
-            made[name] = made[name] * np.float32(1e-6 if kind == "small keys" else 1e-11)
-    return Weights(made, second, test, fill)
+            tensors[name] = tensors[name] * np.float32(1e-6 if kind == "small keys" else 1e-11)
+    return Weights(tensors, second, test, fill)
 
 
 def _stencil(rng: np.random.Generator, size: Size, kind: str) -> NDArray[np.float64]:

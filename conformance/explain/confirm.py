@@ -30,16 +30,16 @@ def confirm(judge: Judge, body: Body, small: Failure, first: Failure) -> Failure
     Returns:
         The smallest case if that fails alone. Otherwise the first case that failed, with as few of the cases before it as it needs.
     """
-    if (found := fails(judge, body, replace(small, before=()))) is not None:
-        return found
+    if (again := fails(judge, body, replace(small, before=()))) is not None:
+        return again
     few = 1
     while first.before:
         before = first.before[-few:]
         after = replace(first, before=before)
-        if all((found := fails(judge, body, after)) is not None for _ in range(AGAIN)):
-            assert found is not None
+        if all((again := fails(judge, body, after)) is not None for _ in range(AGAIN)):
+            assert again is not None
             return _with_words(
-                found, f"depends on the {f'{len(before)} cases' if len(before) > 1 else 'case'} before: it passes alone"
+                again, f"depends on the {f'{len(before)} cases' if len(before) > 1 else 'case'} before: it passes alone"
             )
         if len(before) == len(first.before):
             break
@@ -51,12 +51,12 @@ def _counted(judge: Judge, body: Body, failure: Failure) -> Failure:
     """Run a case alone many times, and say how often it fails."""
     end = monotonic() + MOST_SECONDS
     times = times_wrong = 0
-    shown = failure
+    latest = failure
     while times < ALONE and (monotonic() < end or not times):
         times += 1
-        if (found := fails(judge, body, failure)) is not None:
-            shown, times_wrong = found, times_wrong + 1
-    return _with_words(shown, f"{UNSTABLE}: {times_wrong} of {times}, alone")
+        if (again := fails(judge, body, failure)) is not None:
+            latest, times_wrong = again, times_wrong + 1
+    return _with_words(latest, f"{UNSTABLE}: {times_wrong} of {times}, alone")
 
 
 def fails(judge: Judge, body: Body, failure: Failure) -> Failure | None:

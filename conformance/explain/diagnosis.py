@@ -65,9 +65,9 @@ def diagnose(judge: Judge, findings: Iterable[Finding]) -> str:
     if not failed:
         return ""
     others = [_answered(judge, case, got) for case, got in judge.answered if case.stage == failed[0].case.stage]
-    known, end = _shown_by(failed[0].case.stage), process_time() + MOST_SECONDS
+    mistakes, end = _suspects(failed[0].case.stage), process_time() + MOST_SECONDS
     matches: list[tuple[float, Mistake]] = []
-    for tried, mistake in enumerate(known):
+    for tried, mistake in enumerate(mistakes):
         if process_time() > end or (mistake in RARE and any(each not in RARE for _, each in matches)):
             return _named(matches, tried)
         distances = [_distance(mistake, failed[0])]
@@ -75,7 +75,7 @@ def diagnose(judge: Judge, findings: Iterable[Finding]) -> str:
             distances += [_distance(mistake, each) for each in [*failed[1:], *others]]
         if max(distances) < np.inf:
             matches.append((distances[0], mistake))
-    return _named(matches, len(known))
+    return _named(matches, len(mistakes))
 
 
 def _again(judge: Judge, finding: Finding) -> _Answered | None:
@@ -95,13 +95,13 @@ def _answered(judge: Judge, case: Case, got: Outputs) -> _Answered:
     return _Answered(case, got, {name: expected.closer(got[name]) for name, expected in right.items()})
 
 
-def _shown_by(stage: str) -> tuple[Mistake, ...]:
+def _suspects(stage: str) -> tuple[Mistake, ...]:
     """Those that large frames show first, since there all take long; then the stage's own, those of code it shares, and of precision."""
     parts = (stage, *CONTAINS.get(stage, ()))
     inside = [mistake for part in parts for mistake in of_stage(part)]
-    known = dict.fromkeys([*of_stage(stage), *of_stage(stage, shared=True), *inside])
+    mistakes = dict.fromkeys([*of_stage(stage), *of_stage(stage, shared=True), *inside])
     places = [mistake for mistake in PRECISION if mistake.stage in parts]
-    ordered = sorted(known, key=lambda mistake: not mistake.large)
+    ordered = sorted(mistakes, key=lambda mistake: not mistake.large)
     return (*ordered, *(EVERYWHERE if STAGES[stage].weights else ()), *places)
 
 
@@ -135,7 +135,7 @@ def _distance(mistake: Mistake, answered: _Answered) -> float:
             away, off = np.abs(got - answer[name].astype(np.float64)), np.abs(got - expected.want)
             part = np.where(same, 0, away / np.where(off > 0, off, 1))
         explained = alike & (expected.ratios(answer[name]) > 1) & (part <= NEARER)
-        if any(where.any() and shown[where].mean() < ALIKE for where, shown in ((wrong, explained), (~wrong, alike))):
+        if any(where.any() and holds[where].mean() < ALIKE for where, holds in ((wrong, explained), (~wrong, alike))):
             return np.inf
         if wrong.any():
             distances.append(float(np.mean(part[wrong & explained])))

@@ -36,10 +36,10 @@ def explain(judge: Judge, body: Body) -> Failure:
             failed.append(f"explaining it failed: {type(error).__name__}: {error}")
             return instead
 
-    met, found = judge.record, judge.failure()
-    first = met.first or found
+    met, smallest = judge.record, judge.failure()
+    first = met.first or smallest
     judge.record = Record()
-    failure = tried(lambda: confirm(judge, body, found, first), found)
+    failure = tried(lambda: confirm(judge, body, smallest, first), smallest)
     words = [met.about]
     # An answer that does not come back alone cannot be asked for again.
     if not failure.before and UNSTABLE not in failure.finding.message:

@@ -7,7 +7,7 @@ import numpy as np
 
 from conformance.answers.expected import largest
 from conformance.answers.network import expect_layers
-from conformance.judging.findings import Finding, said
+from conformance.judging.findings import Finding, describe
 from conformance.judging.judge import Judge
 from conformance.protocol.layers import LAYERS_OF, check_layers
 from conformance.protocol.port import Outputs, PortError
@@ -34,7 +34,7 @@ def first_departure(judge: Judge, finding: Finding) -> str:
     for i, name in enumerate(there):
         if (worst := largest(closer := right[name].closer(got[name]), got[name])) > 1:
             before = f"; the {i} before it are right" if i > 1 else f"; {there[0]} before it is right" if i else ""
-            return f"first departs at layer {said(name, got[name], closer, worst)}{before}"
+            return f"first departs at layer {describe(name, got[name], closer, worst)}{before}"
     return f"none of the {len(there)} layers that it hands over departs"
 
 

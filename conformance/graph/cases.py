@@ -61,10 +61,10 @@ def read_case(model: Model, files: Sequence[str]) -> dict[str, AnyArray]:
     """
     named: dict[str, str] = {name: file for name, _, file in (each.partition("=") for each in files)}
     try:
-        found = {name: read_array(Path(file)) for name, file in named.items()}
+        arrays = {name: read_array(Path(file)) for name, file in named.items()}
     except JobError as error:
         raise InputError(f"--input: {error}") from error
-    return _fitting(model, found, "--input")
+    return _fitting(model, arrays, "--input")
 
 
 def read_failure(model: Model, folder: Path) -> list[dict[str, AnyArray]]:
@@ -74,33 +74,33 @@ def read_failure(model: Model, folder: Path) -> list[dict[str, AnyArray]]:
         InputError: it is not the folder of a failure of this model.
     """
     try:
-        _, kept = read_drawn(folder / DRAWN)
+        _, case = read_drawn(folder / DRAWN)
     except JobError as error:
         raise InputError(f"{folder}: expected the folder of one failure: {error}") from error
-    whole: Any = kept
+    whole: Any = case
     if not isinstance(whole, list) or not whole or not all(isinstance(each, dict) for each in whole):
         raise InputError(f"{folder}: expected the folder of a network's failure")
     return [_fitting(model, each, str(folder)) for each in whole]
 
 
-def _fitting(model: Model, found: Mapping[str, Any], where: str) -> dict[str, AnyArray]:
+def _fitting(model: Model, arrays: Mapping[str, Any], where: str) -> dict[str, AnyArray]:
     """The arrays in the order of the model's inputs; InputError unless they are what it takes."""
     names = [each.name for each in model.inputs]
-    if unknown := found.keys() - {*names}:
+    if unknown := arrays.keys() - {*names}:
         raise InputError(f"{where}: expected {', '.join(names)}, got {min(unknown)}")
     for each in model.inputs:
-        array = found.get(each.name)
+        array = arrays.get(each.name)
         if not isinstance(array, np.ndarray):
             raise InputError(f"{where}: {each.name} is missing")
         fits = len(array.shape) == len(each.shape) and all(
             isinstance(n, str) or n == m for n, m in zip(each.shape, array.shape, strict=True)
         )
         if array.dtype != each.dtype or not fits:
-            wanted = ", ".join(map(str, each.shape))
-            raise InputError(f"{where}: {each.name}: expected {each.dtype} ({wanted}), found {array.dtype} {array.shape}")
+            shape = ", ".join(map(str, each.shape))
+            raise InputError(f"{where}: {each.name}: expected {each.dtype} ({shape}), found {array.dtype} {array.shape}")
         if array.dtype.kind == "f" and not np.isfinite(array).all():
             raise InputError(f"{where}: {each.name}: expected finite numbers")
-    return {name: found[name] for name in names}
+    return {name: arrays[name] for name in names}
 
 
 def _array(source: Input, shape: Sequence[int], kind: str, random: np.random.Generator) -> AnyArray:

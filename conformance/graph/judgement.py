@@ -149,7 +149,7 @@ def compare(
 def find_unsupported(model: Model, inputs: Arrays, rounding: Rounding) -> list[str]:
     """A line for each node whose attributes are not known."""
     values: dict[str, AnyArray] = {**model.constants, **{name: widen(array) for name, array in inputs.items()}}
-    said: list[str] = []
+    lines: list[str] = []
     for node in model.nodes:
         operands = operands_of(node, values)
         if operands is None:
@@ -157,12 +157,12 @@ def find_unsupported(model: Model, inputs: Arrays, rounding: Rounding) -> list[s
         try:
             OPERATORS[node.op](rounding, node, *operands)
         except UnsupportedError as error:
-            said.append(f"{node.outputs[0]} ({node.op}): {error}")
+            lines.append(f"{node.outputs[0]} ({node.op}): {error}")
         except (ValueError, IndexError, TypeError):
-            return said  # these sizes do not suit the model
+            return lines  # these sizes do not suit the model
         for name, each in zip(node.outputs, compute(node, operands, rounding) or (), strict=False):
             values[name] = each.x
-    return said
+    return lines
 
 
 def widen(array: AnyArray) -> AnyArray:
@@ -204,7 +204,7 @@ def explain_precision(judged: Judgement, rounding: Rounding) -> str:
 
     if not judged.is_own:
         return ""
-    return next((said for said, fits in _explanations(judged, fits, rounding) if fits), "")
+    return next((words for words, fits in _explanations(judged, fits, rounding) if fits), "")
 
 
 def _explanations(judged: Judgement, fits: Fits, rounding: Rounding) -> Iterator[tuple[str, bool]]:
@@ -247,8 +247,8 @@ def is_fused(model: Model, inputs: Arrays, got: Arrays, judged: Judgement, round
         edge = {name for each in edge if each in makers for name in makers[each].inputs} - within
         depth += 1
         if depth in FUSED:
-            left = {name: array for name, array in got.items() if name not in within}
-            again = [row for row in judge(part, inputs, left, rounding) if row.tensor == judged.tensor]
+            rest = {name: array for name, array in got.items() if name not in within}
+            again = [row for row in judge(part, inputs, rest, rounding) if row.tensor == judged.tensor]
             if again and again[0].ratio <= 1:
                 return True
     return False
@@ -258,15 +258,15 @@ def describe_terms(judged: Judgement, most: int = 3) -> str:
     """The worst number with the terms that it was made of."""
     at, node = judged.at, judged.node
     x, w = (*judged.operands, None, None)[:2]
-    said = f"at {at}: got {judged.got[at]:.9g}, expected {judged.right.x[at]:.9g}, allowed {judged.right.errors[at]:.3g}"
+    line = f"at {at}: got {judged.got[at]:.9g}, expected {judged.right.x[at]:.9g}, allowed {judged.right.errors[at]:.3g}"
     if x is None or w is None or node.op not in SUMS:
         here = [f"{v[at]:.6g}" for v in judged.operands if v is not None and v.shape == judged.right.x.shape]
-        return f"{said}; of {', '.join(here)}" if here else said
+        return f"{line}; of {', '.join(here)}" if here else line
     terms = _terms(node, x, w, at)
     if terms is None:
-        return said
+        return line
     largest = sorted(terms, key=abs, reverse=True)[:most]
-    return f"{said}; {len(terms)} products, sum of magnitudes {np.abs(terms).sum():.3g}, largest {', '.join(f'{t:.3g}' for t in largest)}"
+    return f"{line}; {len(terms)} products, sum of magnitudes {np.abs(terms).sum():.3g}, largest {', '.join(f'{t:.3g}' for t in largest)}"
 
 
 def _terms(node: Node, x: AnyArray, w: AnyArray, at: tuple[int, ...]) -> AnyArray | None:

@@ -75,18 +75,18 @@ def load_model(path: Path) -> Model:
     graph = proto.graph
     constants = {each.name: _constant(onnx, path, each) for each in graph.initializer}
     inputs = tuple(_input(path, each) for each in graph.input if each.name not in constants)
-    known = {"", *constants, *(each.name for each in inputs)}
+    names = {"", *constants, *(each.name for each in inputs)}
     nodes: list[Node] = []
     unknown: list[str] = []
     for number, each in enumerate(graph.node):
         named = f"{each.name or f'node {number}'} ({each.op_type})"
-        missing = next((name for name in each.input if name not in known), None)
+        missing = next((name for name in each.input if name not in names), None)
         if each.domain not in ("", "ai.onnx") or each.op_type not in OPERATORS:
             unknown.append(f"{named}: operator {each.domain + '.' if each.domain else ''}{each.op_type}")
         elif missing is None:
             attributes = {a.name: _attribute(onnx, a) for a in each.attribute}
             nodes.append(Node(each.op_type, attributes, tuple(each.input), tuple(each.output), opset))
-            known |= {*each.output}
+            names |= {*each.output}
     if not nodes:
         raise InputError(f"{path}: no node can be judged{': ' + unknown[0] if unknown else ''}")
     return Model(path, inputs, tuple(each.name for each in graph.output), tuple(nodes), constants, tuple(unknown))
@@ -110,8 +110,8 @@ def _read(onnx: Any, path: Path) -> Any:
         raise InputError(f"{error.filename or path}: {error.strerror or error}") from error
     except Exception as error:
         # A stranger's file: its parser and checker raise errors of several libraries.
-        said = str(error).strip().splitlines()
-        raise InputError(f"{path}: not an ONNX model: {said[0][:160] if said else type(error).__name__}") from error
+        lines = str(error).strip().splitlines()
+        raise InputError(f"{path}: not an ONNX model: {lines[0][:160] if lines else type(error).__name__}") from error
 
 
 def _beside(path: Path, location: str) -> Path:

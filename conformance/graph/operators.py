@@ -98,12 +98,12 @@ def window_of(node: Node, size: Sequence[int], kernel: Sequence[int]) -> Window:
 def _conv_transpose(r: Rounding, node: Node, x: AnyArray, w: AnyArray, b: AnyArray | None = None) -> Result:
     n, groups, kernel = x.ndim - 2, node.get("group", 1), w.shape[2:]
     strides, dilations = node.get("strides", [1] * n), node.get("dilations", [1] * n)
-    extra, pads, shown = node.get("output_padding", [0] * n), node.get("pads", [0] * 2 * n), node.get("output_shape")
+    extra, pads, shape = node.get("output_padding", [0] * n), node.get("pads", [0] * 2 * n), node.get("output_shape")
     auto = node.get("auto_pad", "NOTSET")
     whole = [(x.shape[2 + i] - 1) * strides[i] + extra[i] + (kernel[i] - 1) * dilations[i] + 1 for i in range(n)]
-    if shown is not None or auto in ("SAME_UPPER", "SAME_LOWER"):
-        shown = [x.shape[2 + i] * strides[i] for i in range(n)] if shown is None else [*shown[-n:]]
-        total = [max(a - s, 0) for a, s in zip(whole, shown, strict=True)]
+    if shape is not None or auto in ("SAME_UPPER", "SAME_LOWER"):
+        shape = [x.shape[2 + i] * strides[i] for i in range(n)] if shape is None else [*shape[-n:]]
+        total = [max(a - s, 0) for a, s in zip(whole, shape, strict=True)]
         half = [t // 2 if auto == "SAME_UPPER" else t - t // 2 for t in total]
         pads = [*half, *(t - h for t, h in zip(total, half, strict=True))]
     size = [whole[i] - pads[i] - pads[n + i] for i in range(n)]
@@ -236,8 +236,8 @@ def _cast(_r: Rounding, node: Node, x: AnyArray) -> Result:
     kinds = {1: np.float64, 11: np.float64, 6: np.int32, 7: np.int64, 9: np.bool_, 2: np.uint8, 3: np.int8}
     to = node.get("to")
     if to in (10, 16):
-        stored = Arithmetic("float16" if to == 10 else "bfloat16")
-        return Result(x.astype(np.float64), stored.unit * np.abs(x) + stored.spacing)
+        arithmetic = Arithmetic("float16" if to == 10 else "bfloat16")
+        return Result(x.astype(np.float64), arithmetic.unit * np.abs(x) + arithmetic.spacing)
     if to not in kinds:
         raise UnsupportedError(f"to {to}")
     return Result(x.astype(kinds[to]))
@@ -335,10 +335,10 @@ def _pick(r: Rounding, result: Result, axis: int, at: AnyArray, mode: str) -> Re
     """The nearest numbers; where rounding a coordinate decides, either neighbour is right."""
     off = np.where(at % 0.5 != 0, BOUNDS["graph.coordinate"].roundings * r.unit * (np.abs(at) + 1), 0)
     last = result.x.shape[axis] - 1
-    chosen, low, high = (np.clip(nearest(place, mode), 0, last).astype(int) for place in (at, at - off, at + off))
-    x = np.take(result.x, chosen, axis)
+    index, low, high = (np.clip(nearest(place, mode), 0, last).astype(int) for place in (at, at - off, at + off))
+    x = np.take(result.x, index, axis)
     unsure = np.maximum(*(np.abs(np.take(result.x, other, axis) - x) for other in (low, high)))
-    return Result(x, np.take(result.errors, chosen, axis) + unsure)
+    return Result(x, np.take(result.errors, index, axis) + unsure)
 
 
 def _lerp(r: Rounding, result: Result, axis: int, at: AnyArray) -> Result:
@@ -404,10 +404,10 @@ def _pad(
     for i, axis in enumerate(over):
         around[axis] = amounts[i], amounts[len(over) + i]
     cut = x[tuple(slice(max(-a, 0), n - max(-b, 0)) for (a, b), n in zip(around, x.shape, strict=True))]
-    grown = [(max(a, 0), max(b, 0)) for a, b in around]
+    outer = [(max(a, 0), max(b, 0)) for a, b in around]
     if mode == "constant":
-        return Result(np.pad(cut, grown, constant_values=0.0 if value is None or value.size == 0 else value.item()))
-    return Result(np.pad(cut, grown, mode="edge" if mode == "edge" else "reflect" if mode == "reflect" else "wrap"))
+        return Result(np.pad(cut, outer, constant_values=0.0 if value is None or value.size == 0 else value.item()))
+    return Result(np.pad(cut, outer, mode="edge" if mode == "edge" else "reflect" if mode == "reflect" else "wrap"))
 
 
 @_operator("Transpose")

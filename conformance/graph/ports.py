@@ -88,8 +88,8 @@ class OpenVino:
             raise InputError(f"--port openvino:{precision}: expected f32, bf16 or f16")
         self._whole = core.compile_model(core.read_model(model.path), "CPU", options)
         self._open = core.compile_model(core.read_model(_with_all_outputs(model)), "CPU", options)
-        chosen = self._whole.get_property("INFERENCE_PRECISION_HINT").get_type_name()
-        self.name = f"openvino {openvino.__version__.partition('-')[0]} {chosen}"
+        type_name = self._whole.get_property("INFERENCE_PRECISION_HINT").get_type_name()
+        self.name = f"openvino {openvino.__version__.partition('-')[0]} {type_name}"
 
     def run(self, inputs: Arrays) -> dict[str, AnyArray]:
         """See `GraphPort`."""
@@ -115,8 +115,8 @@ class PyTorch:
     def run(self, inputs: Arrays) -> dict[str, AnyArray]:
         """See `GraphPort`."""
         with self._torch.inference_mode():
-            made = self._module(*(self._torch.from_numpy(inputs[each.name]) for each in self._model.inputs))
-        several = made if isinstance(made, tuple | list) else (made,)
+            results = self._module(*(self._torch.from_numpy(inputs[each.name]) for each in self._model.inputs))
+        several = results if isinstance(results, tuple | list) else (results,)
         return {name: tensor.numpy() for name, tensor in zip(self._model.outputs, several, strict=True)}
 
 
@@ -126,8 +126,8 @@ class GraphProgram(Program):
     def run(self, inputs: Arrays) -> dict[str, AnyArray]:
         """See `GraphPort`."""
         case = Case(STAGE, inputs)
-        (found,) = self.compute([case], lambda job: write_model_case(job, case), lambda folder, _: _read_all(folder / "out"))
-        return found
+        (outputs,) = self.compute([case], lambda job: write_model_case(job, case), lambda folder, _: _read_all(folder / "out"))
+        return outputs
 
 
 def write_model_case(job: Path, case: Case) -> None:
@@ -179,10 +179,10 @@ def _with_all_outputs(model: Model) -> bytes:
     onnx = require("onnx", "onnx")
     proto = onnx.load(model.path)
     there = {each.name for each in proto.graph.output}
-    known = {each.name: each for each in onnx.shape_inference.infer_shapes(proto).graph.value_info}
+    infos = {each.name: each for each in onnx.shape_inference.infer_shapes(proto).graph.value_info}
     for name in model.tensors:
         if name not in there:
-            proto.graph.output.append(known.get(name) or onnx.ValueInfoProto(name=name))
+            proto.graph.output.append(infos.get(name) or onnx.ValueInfoProto(name=name))
     return proto.SerializeToString()
 
 

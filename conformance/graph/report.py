@@ -124,16 +124,16 @@ def _results(outcome: Outcome) -> list[TestResult]:
         ended = ("passed", "") if tensor.ratio <= 1 else ("failed", f"error / bound {number_of(tensor.ratio)}")
         return TestResult(printable(name), kind, tensor.op, *ended, record=record)
 
-    found = [test(TENSORS, *each) for each in outcome.tensors.items()]
-    found += [test(OUTPUTS, f"output {name}", tensor) for name, tensor in outcome.ends.items()]
-    if outcome.wrong and all(each.outcome == "passed" for each in found):
-        found.append(TestResult("run", "port", "it answers", "failed", outcome.wrong[0], record=Record(outcome.cases)))
-    return found
+    results = [test(TENSORS, *each) for each in outcome.tensors.items()]
+    results += [test(OUTPUTS, f"output {name}", tensor) for name, tensor in outcome.ends.items()]
+    if outcome.wrong and all(each.outcome == "passed" for each in results):
+        results.append(TestResult("run", "port", "it answers", "failed", outcome.wrong[0], record=Record(outcome.cases)))
+    return results
 
 
 def _write_page(path: Path, title: str, outcome: Outcome, results: list[TestResult], folder: Path | None) -> None:
-    said = "".join(f"<p>{html.escape(printable(line))}</p>" for line in lines_of(outcome))
+    lines = "".join(f"<p>{html.escape(printable(line))}</p>" for line in lines_of(outcome))
     failed = next((failure_of(each, folder) for each in results if each.outcome == "failed"), "")
     rows = "".join(map(row_of, results))
     table = table_of("Tensors", ("tensor", "operator", "outcome"), ("cases", "error / bound"), rows, stack=True)
-    write_named(path, page(title, f"<h1>{html.escape(printable(title))}</h1>{said}{failed}{table}"))
+    write_named(path, page(title, f"<h1>{html.escape(printable(title))}</h1>{lines}{failed}{table}"))

@@ -61,10 +61,10 @@ class Rounding:
 
     def products(self, apply: Callable[[AnyArray, AnyArray], AnyArray], a: AnyArray, b: AnyArray, terms: int) -> Result:
         """A sum of ``terms`` products of ``a`` and ``b``."""
-        made = self.lose(apply(a, b), terms, apply(np.abs(a), np.abs(b)))
-        return Result(made.x, made.e, terms)
+        result = self.lose(apply(a, b), terms, apply(np.abs(a), np.abs(b)))
+        return Result(result.x, result.e, terms)
 
     def sums(self, apply: Callable[[AnyArray], AnyArray], a: AnyArray, terms: float) -> Result:
         """A sum of ``terms`` numbers with weights of at least 0."""
-        made = self.lose(apply(a), terms, apply(np.abs(a)))
-        return Result(made.x, made.e, terms)
+        result = self.lose(apply(a), terms, apply(np.abs(a)))
+        return Result(result.x, result.e, terms)

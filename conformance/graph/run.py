@@ -103,7 +103,7 @@ class Outcome:
 
 def judge_port(
     model: Model, port: GraphPort, rounding: Rounding, *, tier: str = "quick", seed: int = 0,
-    fixed: Mapping[str, int] | None = None, given: Sequence[dict[str, AnyArray]] = (),
+    fixed: Mapping[str, int] | None = None, own_inputs: Sequence[dict[str, AnyArray]] = (),
 ) -> Outcome:  # fmt: skip
     """Judge a port.
 
@@ -114,23 +114,23 @@ def judge_port(
         tier: ``quick`` or ``full``: how many cases.
         seed: of the cases.
         fixed: sizes of open axes; the others are drawn.
-        given: inputs, in place of drawn ones, up to the first that is wrong.
+        own_inputs: inputs, in place of drawn ones, up to the first that is wrong.
 
     Raises:
-        InputError: the model does not take given inputs, or none of the sizes that were drawn.
+        InputError: the model does not take ``own_inputs``, or none of the sizes that were drawn.
     """
     outcome = Outcome(unknown=model.unknown)
     search = _Search(model, port, rounding, outcome)
     try:
-        if given:
-            for number, inputs in enumerate(given):
-                search.check(inputs, "as given", given[:number])
+        if own_inputs:
+            for number, inputs in enumerate(own_inputs):
+                search.check(inputs, "as given", own_inputs[:number])
             return outcome
         _draw(search, TIERS[tier], seed, fixed or {})
     except DepartureError:
         pass
     except SizeError as error:
-        raise InputError(f"{'--input' if given else model.path}: {error}") from error
+        raise InputError(f"{'--input' if own_inputs else model.path}: {error}") from error
     if not outcome.cases:
         raise InputError(f"{model.path}: takes none of the drawn sizes; name them: --shape {_open_axis(model)}=N")
     return outcome
@@ -235,8 +235,8 @@ def _check(model: Model, port: GraphPort, rounding: Rounding, inputs: dict[str, 
         _require_numbers(model, got)
     except Exception as error:
         # A port is a stranger.
-        said, *more = _lines_of(error)
-        raise DepartureError(Finding(said, case, "", None, None, (*more, where))) from error
+        headline, *more = _lines_of(error)
+        raise DepartureError(Finding(headline, case, "", None, None, (*more, where))) from error
     try:
         rows = judge(model, inputs, {name: got[name] for name in model.tensors if name in got}, rounding)
         ends = judge(model, inputs, {name: whole[name] for name in model.outputs}, rounding)
@@ -254,17 +254,17 @@ def _check(model: Model, port: GraphPort, rounding: Rounding, inputs: dict[str, 
     for row in ends:
         outcome.ends.setdefault(row.tensor, Tensor(row.node.op)).take(row)
     if departs:
-        said, *more = _lines(departs, rows, ends, rounding)
+        headline, *more = _lines(departs, rows, ends, rounding)
         right = Expected(departs.right.x, departs.right.errors)
-        raise DepartureError(Finding(said, case, departs.tensor, departs.got, right, (*more, where)))
+        raise DepartureError(Finding(headline, case, departs.tensor, departs.got, right, (*more, where)))
 
 
-def _require_numbers(model: Model, sizes: Mapping[str, Any]) -> None:
-    """Raise PortError unless the model's tensors among ``given`` are arrays of numbers; bfloat16 is a type of a package of its own."""
-    for name in (name for name in model.tensors if name in sizes):
-        dtype = getattr(sizes[name], "dtype", None)
-        if not isinstance(sizes[name], np.ndarray) or (sizes[name].dtype.kind not in "biuf" and str(dtype) != "bfloat16"):
-            raise PortError(f"{name}: expected an array of numbers, got {dtype or type(sizes[name]).__name__}")
+def _require_numbers(model: Model, tensors: Mapping[str, Any]) -> None:
+    """Raise PortError unless the model's tensors among ``tensors`` are arrays of numbers; bfloat16 is a type of a package of its own."""
+    for name in (name for name in model.tensors if name in tensors):
+        dtype = getattr(tensors[name], "dtype", None)
+        if not isinstance(tensors[name], np.ndarray) or (tensors[name].dtype.kind not in "biuf" and str(dtype) != "bfloat16"):
+            raise PortError(f"{name}: expected an array of numbers, got {dtype or type(tensors[name]).__name__}")
 
 
 def _lines(wrong: Judgement, rows: Sequence[Judgement], ends: Sequence[Judgement], rounding: Rounding) -> list[str]:
@@ -275,8 +275,8 @@ def _lines(wrong: Judgement, rows: Sequence[Judgement], ends: Sequence[Judgement
         f"first departs at {wrong.tensor} ({wrong.node.op}), behind {before} right tensors: error / bound {wrong.ratio:.3g}, "
         f"rms / bound {wrong.rms:.3g}, {kind}"
     ]
-    if said := explain_precision(wrong, rounding):
-        lines.append(f"looks like {said}")
+    if precision := explain_precision(wrong, rounding):
+        lines.append(f"looks like {precision}")
     lines.append(describe_terms(wrong))
     lines += [
         f"output {end.tensor}: propagated, error {np.abs(end.got - end.right.x).max(initial=0):.3g}, error / bound {end.ratio:.3g}"
@@ -287,5 +287,5 @@ def _lines(wrong: Judgement, rows: Sequence[Judgement], ends: Sequence[Judgement
 
 def _lines_of(error: Exception) -> list[str]:
     """What is said of a port's error."""
-    said, *more = [line[:300] for line in str(error).strip().splitlines()[:MOST_LINES]] or [""]
-    return [f"{type(error).__name__}: {said}", *more]
+    headline, *more = [line[:300] for line in str(error).strip().splitlines()[:MOST_LINES]] or [""]
+    return [f"{type(error).__name__}: {headline}", *more]

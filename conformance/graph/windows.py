@@ -99,8 +99,8 @@ class Window:
         total = np.zeros((n, groups * each, *full))
         columns = x.reshape(n, groups, inputs // groups, -1)
         for tap in product(*map(range, self.kernel)):
-            made = np.swapaxes(w[(..., *tap)], 1, 2) @ columns
-            total[(..., *self._slices(tap))] += made.reshape(n, groups * each, *self.out)
+            part = np.swapaxes(w[(..., *tap)], 1, 2) @ columns
+            total[(..., *self._slices(tap))] += part.reshape(n, groups * each, *self.out)
         return total[(..., *(slice(b, b + s) for b, s in zip(self.before, size, strict=True)))]
 
 

@@ -104,7 +104,7 @@ class Record:
     about: str = ""
     wrong: deque[Finding] = field(default_factory=lambda: deque[Finding](maxlen=MOST_WRONG))
 
-    def met(self, sizes: Mapping[str, int]) -> None:
+    def count(self, sizes: Mapping[str, int]) -> None:
         """Count one more case, of these sizes."""
         self.cases += 1
         self.largest = max(self.largest[0], sizes["H"]), max(self.largest[1], sizes["W"])
@@ -144,7 +144,7 @@ def tally(records: Sequence[Record]) -> Counter[str]:
     })  # fmt: skip
 
 
-def said(output: str, got: NDArray[Any], expected: Expected, worst: float) -> str:
+def describe(output: str, got: NDArray[Any], expected: Expected, worst: float) -> str:
     """One line that says how wrong ``got`` is at its worst number, and what share of it departs.
 
     Args:
@@ -159,11 +159,11 @@ def said(output: str, got: NDArray[Any], expected: Expected, worst: float) -> st
     place = tuple(int(i) for i in np.unravel_index(int(ratios.argmax()), ratios.shape))
     allowed = float(np.broadcast_to(np.asarray(expected.allowed), got.shape)[place])
     at = place[:-1] if expected.vectors else place
-    given, want = (", ".join(f"{number:.9g}" for number in np.atleast_1d(a[at])) for a in (got, expected.want))
+    answer, want = (", ".join(f"{number:.9g}" for number in np.atleast_1d(a[at])) for a in (got, expected.want))
     by = "wrong" if allowed <= DENORMAL else f"error / bound {worst:.3g}"
     share = float((ratios > 1).mean())
     return (
-        f"{output}: {by} at {list(place)}: got {given}, expected {want}"
+        f"{output}: {by} at {list(place)}: got {answer}, expected {want}"
         f"{f', allowed {allowed:.3g}' if allowed > DENORMAL else ''}; {share:.1%} of {got.size} numbers depart{_from(ratios > 1)}"
     )
 

@@ -16,7 +16,7 @@ from conformance.answers.expected import Expected, largest
 from conformance.answers.port_arithmetic import Arithmetic
 from conformance.answers.sums import expected_rounding, rounding
 from conformance.answers.windows import expect_windows
-from conformance.judging.findings import MOST_WRONG, DepartureError, Failure, Finding, Record, WrongError, said
+from conformance.judging.findings import MOST_WRONG, DepartureError, Failure, Finding, Record, WrongError, describe
 from conformance.judging.questions import BATCH, Answer, Dialogue, Question, Talk, answers_of, ask, repeated
 from conformance.protocol.port import Abilities, Arrays, Case, Outputs, Port, PortError, abilities_of
 from conformance.protocol.stages import STAGES, check_inputs, check_outputs, network_inputs, reference
@@ -110,10 +110,10 @@ class Judge:
         """Whether the port computes many cases at one start."""
         return self.abilities.run_many is not None
 
-    def check(self, body: Body, *drawn: Any) -> None:
+    def check(self, body: Body, *cases: Any) -> None:
         """Run a property on some of its cases; DepartureError if it does not hold, with the failure in ``record``."""
         self.near = {}
-        if self.first_wrong(body, drawn) is not None:
+        if self.first_wrong(body, cases) is not None:
             raise DepartureError(self.failure().finding)
 
     def failure(self) -> Failure:
@@ -121,30 +121,30 @@ class Judge:
         assert self.record.failure is not None
         return self.record.failure
 
-    def first_wrong(self, body: Body, drawn: Sequence[Any]) -> int | None:
+    def first_wrong(self, body: Body, cases: Sequence[Any]) -> int | None:
         """Number of the first case that is found wrong, whose failure is then in ``record``; None: all are right."""
         wrong: int | None = None
-        for number, error in self.departures(body, drawn):
+        for number, error in self.departures(body, cases):
             if error is None:
                 continue
             self.record.wrong.append(error.finding)
             if wrong is None:
                 wrong = number
-                before = [*self._before, *drawn[:number]][-MOST_BEFORE:]
-                self.record.failure = Failure(error.finding, drawn[number], tuple(before))
+                before = [*self._before, *cases[:number]][-MOST_BEFORE:]
+                self.record.failure = Failure(error.finding, cases[number], tuple(before))
                 self.record.first = self.record.first or self.record.failure
             # A program has answered the others, too.
             if not (self.is_program and self.shrink) or len(self.record.wrong) == MOST_WRONG:
                 break
-        self._before.extend(drawn if wrong is None else drawn[: wrong + 1])
+        self._before.extend(cases if wrong is None else cases[: wrong + 1])
         return wrong
 
-    def departures(self, body: Body, drawn: Sequence[Any]) -> Iterator[tuple[int, DepartureError | None]]:
+    def departures(self, body: Body, cases: Sequence[Any]) -> Iterator[tuple[int, DepartureError | None]]:
         """The number of each case as it ends, with its departure if it is wrong.
 
         A program computes the questions of all cases together, round by round; an object answers one case after the other.
         """
-        dialogues = [(number, Dialogue(body(self, case), case)) for number, case in enumerate(drawn)]
+        dialogues = [(number, Dialogue(body(self, case), case)) for number, case in enumerate(cases)]
         for group in [dialogues] if self.is_program else [[each] for each in dialogues]:
             waiting: list[tuple[int, Dialogue]] = []
             for number, dialogue in group:
@@ -155,10 +155,10 @@ class Judge:
             while waiting:
                 answers = self._ask([dialogue for _, dialogue in waiting])
                 going = []
-                for (number, dialogue), given in zip(waiting, answers, strict=True):
-                    if given is None:
+                for (number, dialogue), answer in zip(waiting, answers, strict=True):
+                    if answer is None:
                         continue
-                    error = given if isinstance(given, DepartureError) else self._advance(dialogue, given)
+                    error = answer if isinstance(answer, DepartureError) else self._advance(dialogue, answer)
                     if error is not None or not dialogue.asked:
                         yield number, error
                     else:
@@ -188,11 +188,11 @@ class Judge:
 
     def _ask(self, dialogues: Sequence[Dialogue]) -> list[list[Outputs] | DepartureError | None]:
         """The port's answers to all cases that these wait for; a departure where one is none; None where no port was asked."""
-        asked = [question for dialogue in dialogues for question in repeated(dialogue.asked, self.repeat)]
-        order = sorted(range(len(asked)), key=lambda i: asked[i].again)
-        cases = [self._case_of(question) for question in asked]
-        found = dict(zip(order, answers_of(self.port, self.abilities, [cases[i] for i in order]), strict=True))
-        answers = [self._checked(case, found[i]) for i, case in enumerate(cases)]
+        questions = [question for dialogue in dialogues for question in repeated(dialogue.asked, self.repeat)]
+        order = sorted(range(len(questions)), key=lambda i: questions[i].again)
+        cases = [self._case_of(question) for question in questions]
+        answer_of = dict(zip(order, answers_of(self.port, self.abilities, [cases[i] for i in order]), strict=True))
+        answers = [self._checked(case, answer_of[i]) for i, case in enumerate(cases)]
         result: list[list[Outputs] | DepartureError | None] = []
         for dialogue in dialogues:
             count = len(dialogue.asked) * self.repeat
@@ -205,9 +205,9 @@ class Judge:
         wrong = next((each for each in answers if isinstance(each, DepartureError)), None)
         if wrong is not None or any(each is None for each in answers):
             return wrong
-        given = [each for each in answers if isinstance(each, dict)]
-        first = given[:: self.repeat]
-        for i, outputs in enumerate(given):
+        outputs_of = [each for each in answers if isinstance(each, dict)]
+        first = outputs_of[:: self.repeat]
+        for i, outputs in enumerate(outputs_of):
             question, right = dialogue.asked[i // self.repeat], first[i // self.repeat]
             for name, array in outputs.items() if i % self.repeat else ():
                 try:
@@ -221,7 +221,7 @@ class Judge:
         sizes = check_inputs(case.stage, case.inputs, "float32")
         if answer is None:
             return None
-        self.record.met(sizes)
+        self.record.count(sizes)
         try:
             if isinstance(answer, PortError):
                 raise answer
@@ -240,8 +240,8 @@ class Judge:
             DepartureError: the port fails, or an output is missing or has the wrong shape or dtype.
         """
         case = self.make_case(stage, inputs, weights)
-        (found,) = answers_of(self.port, self.abilities, [case])
-        got = self._checked(case, found)
+        (answer,) = answers_of(self.port, self.abilities, [case])
+        got = self._checked(case, answer)
         if isinstance(got, DepartureError):
             raise got
         assert got is not None
@@ -257,12 +257,12 @@ class Judge:
             if len(self._weights) == MOST_WEIGHTS:
                 self._weights.clear()
             converted = weights.convert(self.arithmetic.normal)
-            for version, known in (
+            for version, older in (
                 (5, {"hole_fill": "occlusion_warp"}),
                 (4, {"second_color": "newest"}),
                 (3, {"hole_test": "footprint"}),
             ):
-                converted = replace(converted, **known) if self.weights_version < version else converted
+                converted = replace(converted, **older) if self.weights_version < version else converted
             self._weights[id(weights)] = weights, shuffled(converted)
         return self._weights[id(weights)][1]
 
@@ -276,8 +276,8 @@ class Judge:
 
     def _rounded_once(self, arrays: Arrays, stage: str) -> dict[str, NDArray[Any]]:
         """`round_inputs`, kept for the last few cases: a property asks with the same mapping that it then compares by."""
-        for kept, of, rounded in self._rounded:
-            if kept is arrays and of == stage:
+        for inputs, of, rounded in self._rounded:
+            if inputs is arrays and of == stage:
                 return rounded
         self._rounded.append((arrays, stage, self.round_inputs(arrays, stage)))
         return self._rounded[-1][2]
@@ -291,8 +291,8 @@ class Judge:
         self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights | None = None, got: Outputs | None = None
     ) -> dict[str, Expected]:
         """The right answers for these inputs, by output: see ``conformance.answers.by_stage.expect``."""
-        known = None if weights is None else self._weights_of(weights)
-        return expect(stage, self.exactly(inputs, stage), known, self.arithmetic, got or {})
+        converted = None if weights is None else self._weights_of(weights)
+        return expect(stage, self.exactly(inputs, stage), converted, self.arithmetic, got or {})
 
     def agrees(self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights | None = None) -> Talk:
         """Ask the port, and raise DepartureError unless every output is within its bound of the float64 reference."""
@@ -336,11 +336,11 @@ class Judge:
     def agrees_in_windows(self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights | None = None) -> Talk:
         """Ask for a large frame, and compare a few windows of it; a wrong one is not compared with mistakes, which takes long."""
         outputs = yield ask(stage, inputs, weights)
-        exact, known = self.exactly(inputs, stage), None if weights is None else self._weights_of(weights)
+        exact, converted = self.exactly(inputs, stage), None if weights is None else self._weights_of(weights)
         computed = "network" if stage == "frame" else stage
-        if stage == "frame" and known is not None:
-            exact = network_inputs(exact, known)
-        for window in expect_windows(computed, exact, known, self.arithmetic, outputs):
+        if stage == "frame" and converted is not None:
+            exact = network_inputs(exact, converted)
+        for window in expect_windows(computed, exact, converted, self.arithmetic, outputs):
             for name, (place, right) in window.outputs.items():
                 try:
                     self.holds(f"{stage}.{name}", outputs[name][place], right)
@@ -362,7 +362,7 @@ class Judge:
         for name, ratio in ratios.items():
             self.record.worst[name] = max(ratio, self.record.worst.get(name, 0.0))
         if worst > 1:
-            message = said(output, got, closer, worst)
+            message = describe(output, got, closer, worst)
             if closer is not expected:
                 message = (
                     f"{output}: rms of the errors {expected.together(got):.3g} of its limit, each within its own bound; {message}"

@@ -51,19 +51,19 @@ def read_known(path: Path) -> list[KnownFailure]:
         KnownFailuresError: it cannot be read, or an entry lacks something; the message names it.
     """
     try:
-        found = read_json(path, MOST_BYTES)
+        data = read_json(path, MOST_BYTES)
     except OSError as error:
         raise KnownFailuresError(f"{path}: {error.strerror}") from error
-    if not isinstance(found, dict) or set(found) != {"format", "failures"} or found["format"] != FORMAT:
+    if not isinstance(data, dict) or set(data) != {"format", "failures"} or data["format"] != FORMAT:
         raise KnownFailuresError(f"{path}: expected format {FORMAT} and failures, and nothing else")
-    entries = found["failures"]
+    entries = data["failures"]
     if not isinstance(entries, list):
         raise KnownFailuresError(f"{path}: failures: expected a list")
-    known = [_entry(f"{path}: failures[{i}]", entry) for i, entry in enumerate(entries)]
-    names = [each.test for each in known]
+    failures = [_entry(f"{path}: failures[{i}]", entry) for i, entry in enumerate(entries)]
+    names = [each.test for each in failures]
     if twice := sorted({name for name in names if names.count(name) > 1}):
         raise KnownFailuresError(f"{path}: more than once: {', '.join(twice)[:200]}")
-    return known
+    return failures
 
 
 def _entry(where: str, entry: Any) -> KnownFailure:

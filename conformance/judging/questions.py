@@ -73,7 +73,7 @@ def _answer(port: Port, case: Case) -> Answer:
 def _computed(name: str, run_many: RunMany, cases: Sequence[Case]) -> list[Answer]:
     """The answers of one start. If it fails, the case at which it did is asked alone."""
     try:
-        given = run_many(cases)
+        answers = run_many(cases)
     except PortError as error:
         if len(cases) == 1:
             return [error]
@@ -82,7 +82,7 @@ def _computed(name: str, run_many: RunMany, cases: Sequence[Case]) -> list[Answe
         if not isinstance(alone, PortError):
             alone = PortError(f"passes alone, but failed as one of {len(cases)} in a job: {error}")
         return [alone if number == at else None for number in range(len(cases))]
-    return [_lacking(name, case) if isinstance(each, Unsupported) else each for case, each in zip(cases, given, strict=True)]
+    return [_lacking(name, case) if isinstance(each, Unsupported) else each for case, each in zip(cases, answers, strict=True)]
 
 
 def _lacking(port: str, case: Case) -> PortError:
@@ -108,29 +108,29 @@ class Dialogue:
 
     Args:
         talk: the property.
-        drawn: its case.
+        case: its case.
 
     Attributes:
         drawn: its case.
         asked: what it waits for; empty: it has ended.
     """
 
-    def __init__(self, talk: Talk, drawn: Any):
-        self.drawn = drawn
+    def __init__(self, talk: Talk, case: Any):
+        self.drawn = case
         self.asked: tuple[Question, ...] = ()
         self._talk = talk
         self._alone = False
 
     def go_on(self, answers: Sequence[Outputs] | None) -> None:
         """Hand over the answers to its question, None to begin. Errors of the property are raised here."""
-        sent = None if answers is None else answers[0] if self._alone else tuple(answers)
+        value = None if answers is None else answers[0] if self._alone else tuple(answers)
         self.asked = ()
         try:
-            wanted = self._talk.send(sent)
+            questions = self._talk.send(value)
         except StopIteration:
             return
-        self._alone = isinstance(wanted, Question)
-        self.asked = (wanted,) if isinstance(wanted, Question) else tuple(wanted)
+        self._alone = isinstance(questions, Question)
+        self.asked = (questions,) if isinstance(questions, Question) else tuple(questions)
 
 
 def repeated(questions: Sequence[Question], times: int) -> list[Question]:

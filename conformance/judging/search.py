@@ -24,7 +24,7 @@ TELL_SECONDS = 5.0
 """A failure that has been made smaller for so long is told before it is as small as it gets; seconds."""
 
 
-class Drawn:
+class DrawnCases:
     """Cases of a strategy, as many as the judge's tier says; the same seed gives the same ones.
 
     Args:
@@ -37,9 +37,9 @@ class Drawn:
 
     def cases(self, judge: Judge) -> list[Any]:
         """The cases, without a port: those that a program is judged on."""
-        drawn: list[Any] = []
-        self._draw(judge, drawn.append, [Phase.generate])
-        return drawn
+        cases: list[Any] = []
+        self._draw(judge, cases.append, [Phase.generate])
+        return cases
 
     def check(self, judge: Judge, body: Body) -> None:
         """Run ``body`` on the cases, and make a case that fails smaller.
@@ -80,16 +80,16 @@ class Drawn:
         each()
 
 
-class Made:
+class MadeCases:
     """Cases that are made, not drawn.
 
     Args:
-        made: each makes one case from a seeded generator; or what the judge asks for.
+        makers: each makes one case from a seeded generator; or what the judge asks for.
         about: words on a made case, for the message of its failure.
     """
 
-    def __init__(self, made: Makers | Callable[[Judge], Makers], about: Callable[[Maker], str] = lambda _: ""):
-        self._made, self._about = made, about
+    def __init__(self, makers: Makers | Callable[[Judge], Makers], about: Callable[[Maker], str] = lambda _: ""):
+        self._made, self._about = makers, about
 
     def cases(self, judge: Judge) -> list[Any]:
         """The cases."""
@@ -158,10 +158,10 @@ class _Search:
             self._judge.tell(self.smallest.finding)
 
 
-def _numbers(drawn: Any) -> int:
+def _numbers(case: Any) -> int:
     """How many numbers a case has."""
-    if isinstance(drawn, np.ndarray):
-        return drawn.size
-    if isinstance(drawn, Mapping):
-        return sum(map(_numbers, drawn.values()))
-    return sum(map(_numbers, drawn)) if isinstance(drawn, (list, tuple)) else 1
+    if isinstance(case, np.ndarray):
+        return case.size
+    if isinstance(case, Mapping):
+        return sum(map(_numbers, case.values()))
+    return sum(map(_numbers, case)) if isinstance(case, (list, tuple)) else 1

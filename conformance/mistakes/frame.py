@@ -63,7 +63,9 @@ def _missing(inputs: Any, i: int) -> bool:
 def _prepared(name: str, what: str, **changes: Change) -> Mistake:
     """The network is given others; each change has what was prepared as its argument."""
     return _frame(
-        name, what, returns("frame.prepare", lambda made: replace(made, **{key: change(made) for key, change in changes.items()}))
+        name,
+        what,
+        returns("frame.prepare", lambda result: replace(result, **{key: change(result) for key, change in changes.items()})),
     )
 
 
@@ -87,7 +89,7 @@ def _warps(name: str, what: str, change: Change) -> Mistake:
 
 
 def _measures(name: str, what: str, *factors: float) -> Mistake:
-    return _detail(name, what, returns("frame.detail", lambda made: made * np.asarray(factors, made.dtype)))
+    return _detail(name, what, returns("frame.detail", lambda result: result * np.asarray(factors, result.dtype)))
 
 
 def _tents(name: str, what: str, weigh: Callable[[Any], Any]) -> Mistake:
@@ -105,10 +107,10 @@ def _not_in_holes(copy: Copy) -> None:
     valids: dict[int, Any] = {}
 
     def warped(right: Change, inputs: Any, i: int, motion: Any, *test: Any) -> Any:
-        made = right(inputs, i, motion, *test)
+        result = right(inputs, i, motion, *test)
         if not is_missing(inputs.steps, i):
-            valids[id(motion)] = made[1]
-        return made
+            valids[id(motion)] = result[1]
+        return result
 
     def detail(right: Change, first: Any, stencil: Any, frames: Any) -> Any:
         return right(
@@ -148,8 +150,8 @@ DETAILS = (
     _measures("upside_down", "the upper quarters less the lower", 1, -1, 1),
     _measures("whole", "differences of the quarters' sums, not half of them", 2, 2, 1),
     _measures("no_level", "no difference of the mean", 1, 1, 0),
-    _detail("turned", "down before across", returns("frame.detail", lambda made: made[..., [1, 0, 2]])),
-    _detail("up_from_0", "differences below 0 become 0", returns("frame.detail", lambda made: np.maximum(made, 0))),
+    _detail("turned", "down before across", returns("frame.detail", lambda result: result[..., [1, 0, 2]])),
+    _detail("up_from_0", "differences below 0 become 0", returns("frame.detail", lambda result: np.maximum(result, 0))),
     _detail("own_black", "the pixel's own first colour counts as black", change_arguments("frame.detail", first=np.zeros_like)),
     _tents("tent_of_a_pixel", "samples count up to a pixel away", lambda d: np.maximum(0, 1 - d)),
     _tents("nearest", "the nearest sample counts whole", lambda d: (d < 0.5) * np.ones_like(d)),
@@ -236,9 +238,9 @@ FRAME = (
         "the newest mask with all three",
         change_arguments("frame.stack_history", valids=lambda valids: valids[:1] * 3),
     ),
-    _prepared("mask_of_oldest", "the oldest mask as the network's", mask=lambda made: made.history[0, ..., 3]),
-    _prepared("mask_of_all", "the network's mask: valid in all three", mask=lambda made: made.history[..., 3].prod(axis=0)),
-    _prepared("mask_all_valid", "the network's mask all 1", mask=lambda made: np.ones_like(made.mask)),
+    _prepared("mask_of_oldest", "the oldest mask as the network's", mask=lambda result: result.history[0, ..., 3]),
+    _prepared("mask_of_all", "the network's mask: valid in all three", mask=lambda result: result.history[..., 3].prod(axis=0)),
+    _prepared("mask_all_valid", "the network's mask all 1", mask=lambda result: np.ones_like(result.mask)),
     *DETAILS,
     _frame("negative_color", "colours below 0 stay", put("frame.two_pictures", lambda *both: np.concatenate(both, axis=-1))),
     _frame("negative_history", "colours below 0 stay in the history", put("frame.stack_history", _signed_history)),

@@ -28,7 +28,7 @@ def limits(**numbers: float) -> Plant:
 _holes = partial(fault, "holes")
 
 
-def _taken(name: str, what: str, **changes: Change) -> Mistake:
+def _takes(name: str, what: str, **changes: Change) -> Mistake:
     """The stage takes other inputs."""
     return _holes(name, what, change_arguments("holes.holes", **changes))
 
@@ -95,16 +95,16 @@ def _weightless(at: Taps) -> Taps:
 HOLES = (
     _holes("axes_swapped", "takes dx for dy", change_arguments("holes.follow", motion=lambda motion: motion[..., ::-1])),
     _holes("not_followed", "reads the earlier buffers at p", change_arguments("holes.follow", motion=lambda motion: motion * 0)),
-    _taken("stencil_of_8_bits", "stencils in 8 bits", **_bits(8)),
-    _taken("stencil_of_16_bits", "stencils in 16 bits", **_bits(16)),
-    _taken("stencil_in_half", "stencils in half precision", **dict.fromkeys(("stencil", "stencil_previous"), _half_stencil)),
-    _taken("stencil_here", "the current stencil in the place of the earlier one", stencil_previous=lambda _, stencil: stencil),
-    _taken("normal_here", "the current normal in the place of the earlier one", normal_previous=lambda _, normal: normal),
-    _taken("half_position", "positions in half precision", position=half, position_previous=half),
-    _taken("paper_forgotten", "never the paper's test", test=lambda _: "footprint"),
-    _taken("paper_always", "always the paper's test", test=lambda _: "paper"),
-    _taken("nov_clamped", "max(NoV, 0) for |NoV|", nov=lambda nov: np.maximum(nov, 0)),
-    _taken("depth_reversed", "1 - depth for depth", depth=lambda depth: 1 - depth),
+    _takes("stencil_of_8_bits", "stencils in 8 bits", **_bits(8)),
+    _takes("stencil_of_16_bits", "stencils in 16 bits", **_bits(16)),
+    _takes("stencil_in_half", "stencils in half precision", **dict.fromkeys(("stencil", "stencil_previous"), _half_stencil)),
+    _takes("stencil_here", "the current stencil in the place of the earlier one", stencil_previous=lambda _, stencil: stencil),
+    _takes("normal_here", "the current normal in the place of the earlier one", normal_previous=lambda _, normal: normal),
+    _takes("half_position", "positions in half precision", position=half, position_previous=half),
+    _takes("paper_forgotten", "never the paper's test", test=lambda _: "footprint"),
+    _takes("paper_always", "always the paper's test", test=lambda _: "paper"),
+    _takes("nov_clamped", "max(NoV, 0) for |NoV|", nov=lambda nov: np.maximum(nov, 0)),
+    _takes("depth_reversed", "1 - depth for depth", depth=lambda depth: 1 - depth),
     _valid("inverted", "1 in the holes", np.logical_not),
     _holes("off_screen_missing", "off screen is no hole", put("holes.leads_inside", lambda at: np.ones(at.x.shape, bool))),
     _holes(
@@ -213,7 +213,7 @@ def _order(name: str, what: str, change: Callable[[Any, Any], Any]) -> Mistake:
     return _fill(name, what, put("occlusion_warp.writing_order", change))
 
 
-def _written(name: str, what: str, change: Callable[[Place], Any]) -> Mistake:
+def _writes(name: str, what: str, change: Callable[[Place], Any]) -> Mistake:
     """The pixels around another place are written to."""
     return _fill(name, what, change_arguments("occlusion_warp.written_pixels", at=change))
 
@@ -246,8 +246,8 @@ OCCLUSION_WARP = (
     _pixels("one_pixel", "writes one pixel of four", lambda xy: (xy[0][:, :1], xy[1][:, :1])),
     _pixels("weighted_pixels", "whole-pixel motion writes no right neighbour", _where_it_moves),
     _pixels("corner_must_land", "drops all four where the first is outside", _if_first_lands),
-    _written("truncated_splat", "trunc for floor in the splat", lambda at: at._replace(x=at.x + ((at.x < 0) & (at.fx > 0)))),
-    _written("rounded_splat", "splats around the nearest pixel", lambda at: at._replace(x=at.x + (at.fx >= 0.5))),
+    _writes("truncated_splat", "trunc for floor in the splat", lambda at: at._replace(x=at.x + ((at.x < 0) & (at.fx > 0)))),
+    _writes("rounded_splat", "splats around the nearest pixel", lambda at: at._replace(x=at.x + (at.fx >= 0.5))),
     _fill("rounded_lookup", "looks up the nearest pixel", change_arguments("occlusion_warp.look_up", motion=np.rint)),
     _fill("looked_up_here", "looks up the pixel itself", put("occlusion_warp.look_up", lambda earlier, _: earlier)),
     _looked_up(
@@ -256,7 +256,7 @@ OCCLUSION_WARP = (
     _looked_up(
         "outside_looks_up_0",
         "off screen looks up 0, not the border",
-        lambda found, motion: found * leads_inside(follow(motion))[..., None],
+        lambda result, motion: result * leads_inside(follow(motion))[..., None],
     ),
     _fill("half_motion", "moves motion in half precision", returns("occlusion_warp.splat", half)),
     _fill(
@@ -266,7 +266,7 @@ OCCLUSION_WARP = (
             "occlusion_warp.splat", motion=lambda motion: np.where(np.isfinite(motion).all(axis=-1)[..., None], motion, 0)
         ),
     ),
-    _looked_up("added_to_motion", "the new motion added to the one before", lambda found, motion: found + motion),
+    _looked_up("added_to_motion", "the new motion added to the one before", lambda result, motion: result + motion),
     _fill("second_sign", "the new motion with the other sign", change_arguments("occlusion_warp.read_along", motion=np.negative)),
     _fill("unfilled", "holes are left as they are", change_arguments("occlusion_warp.occlusion_warp", valid=np.ones_like)),
     _fill(

@@ -69,7 +69,7 @@ READS: tuple[tuple[str, str, Change], ...] = (
 _chain = partial(fault, "motion_chain")
 
 
-def _followed(name: str, what: str, change: Change) -> Mistake:
+def _follows(name: str, what: str, change: Change) -> Mistake:
     return _chain(name, what, change_arguments("motion_chain.follow", motion=change))
 
 
@@ -99,9 +99,9 @@ def _without_last_column(motion: Any, x: Any, y: Any) -> Any:
 
 
 MOTION_CHAIN = (
-    *(_followed(name, what, change) for name, what, change, _ in FOLLOWS),
-    _followed("not_followed", "adds the motions of one pixel", _times(0, 0)),
-    _followed("truncated_motion", "truncates the motion, not the position", np.trunc),
+    *(_follows(name, what, change) for name, what, change, _ in FOLLOWS),
+    _follows("not_followed", "adds the motions of one pixel", _times(0, 0)),
+    _follows("truncated_motion", "truncates the motion, not the position", np.trunc),
     _chain("floor", "floor for trunc, left of the frame and above it", put("motion_chain.truncated", lambda whole, _: whole)),
     _longest("shortest", "the shortest of four", lambda length: -length),
     _longest("first", "the first of four, not the longest", np.zeros_like),
@@ -139,7 +139,7 @@ MOTION_CHAIN = (
 _warp = partial(fault, "warp")
 
 
-def _taken(name: str, what: str, change: Change, also: tuple[str, ...] = BOTH, **marks: Any) -> Mistake:
+def _takes(name: str, what: str, change: Change, also: tuple[str, ...] = BOTH, **marks: Any) -> Mistake:
     """Motion is followed after a ``change``, but is lost where it was."""
 
     def wrong(follow: Callable[[Any], Place], motion: Any) -> Place:
@@ -178,21 +178,21 @@ def _tile_seam(at: Place) -> Place:
 
 
 WARP = (
-    *(_taken(name, what, change, also) for name, what, change, also in FOLLOWS),
-    _taken("corners_grid", "normalises with corners aligned, samples with centres aligned", _on_corners),
-    _taken(
+    *(_takes(name, what, change, also) for name, what, change, also in FOLLOWS),
+    _takes("corners_grid", "normalises with corners aligned, samples with centres aligned", _on_corners),
+    _takes(
         "nan_component",
         "only the non-finite component counts as 0",
         lambda motion: np.where(np.isfinite(motion), motion, 0),
         FILL,
     ),
-    _taken(
+    _takes(
         "nan_first_pixel",
         "non-finite motion, clamped, is the first pixel",
         lambda motion: np.where(np.isfinite(motion).all(axis=-1, keepdims=True), motion, -1e9),
         FILL,
     ),
-    _taken(
+    _takes(
         "motion_32", "motion is clamped to 32 pixels", lambda motion: motion.clip(-32, 32), ("motion_chain", *BOTH), large=True
     ),
     _place(

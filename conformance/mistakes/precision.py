@@ -51,8 +51,8 @@ def rounded_at(layer: str, what: str, rounded: Callable[[Any], Any]) -> tuple[Pl
         return tuple(
             returns(each, lambda y, name: rounded(y) if layer in ("", name) else y) for each in ("conv.conv_named", "conv.gated")
         )
-    taken = {"input": ["x"], "weights": ["weights"], "factors": [*changes]}[what]
-    return (change_arguments("conv.conv_named", **{name: changes[name] for name in taken}),)
+    names = {"input": ["x"], "weights": ["weights"], "factors": [*changes]}[what]
+    return (change_arguments("conv.conv_named", **{name: changes[name] for name in names}),)
 
 
 def _precision(stage: str, layer: str, what: str, name: str) -> Mistake:

@@ -19,7 +19,7 @@ Change = Callable[..., Any]
 _reshade = partial(fault, "reshade")
 
 
-def _given(name: str, what: str, **changes: Change) -> Mistake:
+def _takes(name: str, what: str, **changes: Change) -> Mistake:
     """The stage is given others."""
     return _reshade(name, what, change_arguments("reshade.reshade", **changes))
 
@@ -77,15 +77,15 @@ def _valid_of(function: Change, arguments: Any, named: Any) -> Any:
 
 
 RESHADE = (
-    _given("unfilled", "holes are left as they are", valid=np.ones_like),
-    _given("filled_everywhere", "fills what needs no filling", valid=np.zeros_like),
-    _given("valid_inverted", "fills all but the holes", valid=lambda valid: (valid == 0).astype(valid.dtype)),
-    _given("stencil_of_now", "this frame's object numbers for the earlier ones", stencil_previous=lambda _, stencil: stencil),
-    _given("normal_of_now", "this frame's normals for the earlier ones", normal_previous=lambda _, normal: normal),
-    _given("position_of_now", "this frame's positions for the earlier ones", position_previous=lambda _, position: position),
-    _given("objects_ignored", "one object", stencil=np.zeros_like, stencil_previous=np.zeros_like),
-    _given("backwards", "follows the motion backwards", motion=np.negative),
-    _given("half_pixel", "pixel centres at halves", motion=lambda motion: motion - 0.5),
+    _takes("unfilled", "holes are left as they are", valid=np.ones_like),
+    _takes("filled_everywhere", "fills what needs no filling", valid=np.zeros_like),
+    _takes("valid_inverted", "fills all but the holes", valid=lambda valid: (valid == 0).astype(valid.dtype)),
+    _takes("stencil_of_now", "this frame's object numbers for the earlier ones", stencil_previous=lambda _, stencil: stencil),
+    _takes("normal_of_now", "this frame's normals for the earlier ones", normal_previous=lambda _, normal: normal),
+    _takes("position_of_now", "this frame's positions for the earlier ones", position_previous=lambda _, position: position),
+    _takes("objects_ignored", "one object", stencil=np.zeros_like, stencil_previous=np.zeros_like),
+    _takes("backwards", "follows the motion backwards", motion=np.negative),
+    _takes("half_pixel", "pixel centres at halves", motion=lambda motion: motion - 0.5),
     _samples("one_sample", "looks at one of four", lambda four: four[:1]),
     _samples("three_samples", "looks at three of four", lambda four: four[:3]),
     _samples("outside_clamped", "the nearest pixel for one outside", lambda four: [(there | True, *at) for there, *at in four]),

@@ -61,9 +61,9 @@ class ArraySpec:
                 if dim.letter:
                     bound.setdefault(dim.letter, length * dim.over // dim.times)
         if array.ndim != len(self.dims) or array.shape != self.shape(bound) or 0 in array.shape:
-            known = [str(dim.length(sizes)) if not dim.letter or dim.letter in sizes else str(dim) for dim in self.dims]
-            expected = ", ".join(known) + ("," if len(known) == 1 else "")
-            raise ArrayError(f"{name}: expected shape ({expected}), got {array.shape}")
+            lengths = [str(dim.length(sizes)) if not dim.letter or dim.letter in sizes else str(dim) for dim in self.dims]
+            shape = ", ".join(lengths) + ("," if len(lengths) == 1 else "")
+            raise ArrayError(f"{name}: expected shape ({shape}), got {array.shape}")
         if self.kind == "int" and array.dtype.kind not in "iu":
             raise ArrayError(f"{name}: expected integers, got {array.dtype}")
         if self.kind == "uint8" and array.dtype != np.uint8:

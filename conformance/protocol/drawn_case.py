@@ -26,21 +26,21 @@ MOST_BYTES = 1 << 24
 """Largest size of the structure; hundreds of frames with their own weights, which fail together and were not made fewer, have 1.2 MB."""
 
 
-def fingerprint(drawn: Any) -> bytes:
+def fingerprint(case: Any) -> bytes:
     """A digest that is equal for equal cases: of floats in float32, as ports get them, since float64's last bits depend on the machine."""
     digest = hashlib.blake2b()
 
     def noted(array: AnyArray) -> str:
         with np.errstate(over="ignore"):
-            held = array.astype("<f4", copy=False) if array.dtype.kind == "f" else array
-        digest.update(np.ascontiguousarray(held).data)
-        return f"{held.shape}{held.dtype}"
+            numbers = array.astype("<f4", copy=False) if array.dtype.kind == "f" else array
+        digest.update(np.ascontiguousarray(numbers).data)
+        return f"{numbers.shape}{numbers.dtype}"
 
-    digest.update(json.dumps(_written(drawn, noted)).encode())
+    digest.update(json.dumps(_written(case, noted)).encode())
     return digest.digest()
 
 
-def write_drawn(folder: Path, test: str, drawn: Any) -> None:
+def write_drawn(folder: Path, test: str, case: Any) -> None:
     """Write the case of a test into ``folder``.
 
     Raises:
@@ -52,7 +52,7 @@ def write_drawn(folder: Path, test: str, drawn: Any) -> None:
         name, _ = arrays.setdefault(id(array), (f"{len(arrays):04d}.npy", array))
         return name
 
-    text = json.dumps({"test": test, "drawn": _written(drawn, noted)})
+    text = json.dumps({"test": test, "drawn": _written(case, noted)})
     (folder / PROPERTY).write_text(text, encoding="utf-8")
     for name, array in arrays.values():
         np.save(folder / name, np.ascontiguousarray(array), allow_pickle=False)
@@ -82,8 +82,8 @@ def read_drawn(folder: Path) -> tuple[str, Any]:
     """
     path = folder / PROPERTY
     try:
-        found = json.loads(read_bytes(path, MOST_BYTES))
-        return str(found["test"]), _read(found["drawn"], folder, {})
+        data = json.loads(read_bytes(path, MOST_BYTES))
+        return str(data["test"]), _read(data["drawn"], folder, {})
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         if isinstance(error, JobError):
             raise
@@ -93,21 +93,21 @@ def read_drawn(folder: Path) -> tuple[str, Any]:
 def _read(value: Any, folder: Path, arrays: dict[str, AnyArray]) -> Any:
     if not isinstance(value, dict):
         return value
-    ((kind, held),) = value.items()  # pyright: ignore[reportUnknownVariableType]
+    ((kind, content),) = value.items()  # pyright: ignore[reportUnknownVariableType]
     if kind == "array":
-        name = str(held)
+        name = str(content)
         if "/" in name or "\\" in name:
             raise ValueError(name)
         if name not in arrays:
             arrays[name] = read_array(folder / name)
         return arrays[name]
     if kind == "float":
-        return float(held)
+        return float(content)
     if kind == "dict":
-        return {str(key): _read(item, folder, arrays) for key, item in held.items()}
+        return {str(key): _read(item, folder, arrays) for key, item in content.items()}
     if kind == "weights":
-        second, test, fill, tensors = held
+        second, test, fill, tensors = content
         named = SECOND_COLORS[SECOND_COLORS.index(second)], HOLE_TESTS[HOLE_TESTS.index(test)], HOLE_FILLS[HOLE_FILLS.index(fill)]
         return Weights(_read(tensors, folder, arrays), *named)
-    items = [_read(item, folder, arrays) for item in held]
+    items = [_read(item, folder, arrays) for item in content]
     return {"list": list, "tuple": tuple}[kind](items)

@@ -67,7 +67,7 @@ def write_job(job: Path, cases: Sequence[Case], first: int = 0, *, layers: bool 
         ArrayError: inputs are not those of the stage.
         WeightsError: weights are not of this network, or not float32.
     """
-    written: dict[int, Path] = {}
+    files: dict[int, Path] = {}
     for number, case in enumerate(cases, first):
         folder = job / f"{number:04d}"
         check_inputs(case.stage, case.inputs, DTYPE)
@@ -79,11 +79,11 @@ def write_job(job: Path, cases: Sequence[Case], first: int = 0, *, layers: bool 
         if case.weights is None:
             raise ArrayError(f"weights: missing; stage {case.stage} takes them")
         path = folder / "in" / WEIGHTS
-        if id(case.weights) in written:
-            link(written[id(case.weights)], path)
+        if id(case.weights) in files:
+            link(files[id(case.weights)], path)
         else:
             path.write_bytes(serialise(case.weights))
-            written[id(case.weights)] = path
+            files[id(case.weights)] = path
 
 
 def write_inputs(folder: Path, case: Case) -> None:
@@ -139,10 +139,10 @@ def stamps_of_inputs(job: Path, count: int) -> Stamps:
     for number in range(count):
         try:
             with os.scandir(job / f"{number:04d}" / "in") as entries:
-                found = [(Path(entry.path), entry.stat(follow_symlinks=False)) for entry in entries]
+                stats = [(Path(entry.path), entry.stat(follow_symlinks=False)) for entry in entries]
         except OSError:
             continue
-        stamps |= {path: (stat.st_ino, stat.st_size, stat.st_mtime_ns) for path, stat in found}
+        stamps |= {path: (stat.st_ino, stat.st_size, stat.st_mtime_ns) for path, stat in stats}
     return stamps
 
 
@@ -306,9 +306,9 @@ def read_outputs(case: Path, stage: str, sizes: Sizes) -> Outputs | Unsupported:
     Raises:
         JobError: an output is missing, damaged, or not as the table says.
     """
-    given, out = find(stage).outputs, case / "out"
+    specs, out = find(stage).outputs, case / "out"
     if (claimed := case / "unsupported").exists():
-        if there := [name for name in given if (out / f"{name}.npy").exists()]:
+        if there := [name for name in specs if (out / f"{name}.npy").exists()]:
             raise JobError(f"{out / there[0]}.npy: written, although {claimed} says that there is no such stage")
         return Unsupported(stage)
 
@@ -316,7 +316,7 @@ def read_outputs(case: Path, stage: str, sizes: Sizes) -> Outputs | Unsupported:
         return f"{out / name}.npy"
 
     try:
-        return _read_arrays(out, given, lambda arrays: check_output_shapes(stage, arrays, sizes, DTYPE, label))
+        return _read_arrays(out, specs, lambda arrays: check_output_shapes(stage, arrays, sizes, DTYPE, label))
     except ArrayError as error:
         raise JobError(str(error)) from error
 
@@ -335,10 +335,10 @@ def read_layers(case: Path, stage: str, inputs: Arrays) -> Outputs:
         return f"{folder / name}.npy"
 
     try:
-        specs, found = LAYERS_OF.get(stage, {}), _names(folder)
-        if unknown := [name for name in found if name not in specs]:
+        specs, names = LAYERS_OF.get(stage, {}), _names(folder)
+        if unknown := [name for name in names if name not in specs]:
             raise ArrayError(f"{label(unknown[0])}: not a layer of stage {stage}")
-        some = {name: specs[name] for name in specs if name in found}
+        some = {name: specs[name] for name in specs if name in names}
         return _read_arrays(folder, some, lambda arrays: check_layers(stage, arrays, inputs, label))
     except ArrayError as error:
         raise JobError(str(error)) from error

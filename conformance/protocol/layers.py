@@ -10,7 +10,7 @@ import numpy as np
 from conformance.protocol.array_specs import ArraySpec, Label, array_spec, check_shapes
 from conformance.protocol.port import Arrays, Outputs
 from conformance.protocol.stages import check_inputs
-from conformance.protocol.watch import Seen
+from conformance.protocol.watch import Activations
 from stss_ref.arrays import ArrayError
 from stss_ref.weights import LAYERS, SOURCES, Layer
 
@@ -45,13 +45,13 @@ LAYERS_OF: Mapping[str, Mapping[str, ArraySpec]] = {
 """Of each stage that has any, in the order of computation: names and shapes. Each as the next layer reads it: behind gate and ReLU."""
 
 
-def choose(stage: str, seen: Seen) -> Outputs:
+def choose(stage: str, record: Activations) -> Outputs:
     """Of all that was seen, the layers of a stage."""
-    found: Outputs = {}
+    layers: Outputs = {}
     for name in LAYERS_OF.get(stage, {}):
-        if arrays := seen.arrays.get(name):
-            found[name] = np.ascontiguousarray(np.stack(arrays) if len(arrays) > 1 else arrays[0])
-    return found
+        if arrays := record.arrays.get(name):
+            layers[name] = np.ascontiguousarray(np.stack(arrays) if len(arrays) > 1 else arrays[0])
+    return layers
 
 
 def check_layers(stage: str, layers: Arrays, inputs: Arrays, label: Label = str) -> None:

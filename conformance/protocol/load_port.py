@@ -54,12 +54,12 @@ def load_port(
         lacking = [name for name in ("name", "dtype", "stages", "run") if not hasattr(port, name)]
         if lacking:
             raise InputError(f"{spec}: expected a port, got a {type(port).__name__} without {', '.join(lacking)}")
-        given = {"dtype": dtype, "winograd": winograd or None, "weights_version": weights_version}
-        abilities = replace(abilities_of(port), **{name: value for name, value in given.items() if value is not None})
-        said: Any = abilities.dtype
+        options = {"dtype": dtype, "winograd": winograd or None, "weights_version": weights_version}
+        abilities = replace(abilities_of(port), **{name: value for name, value in options.items() if value is not None})
+        arithmetic: Any = abilities.dtype
         # NumPy's own dtype equals its name, and is no key of the tables of bounds.
-        if not isinstance(said, str) or said not in ARITHMETICS:
-            raise InputError(f"{named}: dtype: expected the text float32, float16 or bfloat16, got {said!r}")
+        if not isinstance(arithmetic, str) or arithmetic not in ARITHMETICS:
+            raise InputError(f"{named}: dtype: expected the text float32, float16 or bfloat16, got {arithmetic!r}")
         if str(abilities.weights_version) not in VERSIONS:
             raise InputError(f"{named}: weights_version: expected 1, 3, 4 or 5, got {abilities.weights_version!r}")
         unknown = set(port.stages()) - set(STAGES)
@@ -72,8 +72,8 @@ def load_port(
 
 def loaded_files() -> list[Path]:
     """The files of all modules that this process has imported: those of a port are read, whatever it imported itself."""
-    found = (getattr(module, "__file__", None) for module in [*sys.modules.values()])
-    return [Path(name) for name in found if isinstance(name, str)]
+    files = (getattr(module, "__file__", None) for module in [*sys.modules.values()])
+    return [Path(name) for name in files if isinstance(name, str)]
 
 
 def import_port(spec: str) -> Any:

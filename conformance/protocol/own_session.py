@@ -101,9 +101,9 @@ class Session:
         self._program = command[0]
         self._reading, writing = os.pipe() if ON_LINUX else (None, None)
         try:
-            taken = [*REAPER, str(writing), *command] if ON_LINUX else command
+            whole = [*REAPER, str(writing), *command] if ON_LINUX else command
             fds = () if writing is None else (writing,)
-            started = subprocess.Popen(taken, start_new_session=True, pass_fds=fds, **options)
+            started = subprocess.Popen(whole, start_new_session=True, pass_fds=fds, **options)
             self.process = cast("subprocess.Popen[bytes]", started)
         finally:
             if writing is not None:

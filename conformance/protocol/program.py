@@ -72,11 +72,11 @@ class Program:
         ran = False
         try:
             write(job)
-            given = stamps_of_inputs(job, len(cases))
+            stamps = stamps_of_inputs(job, len(cases))
             self._start(job)
             ran = True
             require_real(job)
-            require_unchanged(given, stamps_of_inputs(job, len(cases)))
+            require_unchanged(stamps, stamps_of_inputs(job, len(cases)))
             for number in range(len(cases)):
                 results.append(read(job / f"{number:04d}", number))
         except JobError as error:
@@ -85,7 +85,7 @@ class Program:
                 shutil.rmtree(self.kept, ignore_errors=True)
             self.kept = job
             at = len(results) if ran else _first_unanswered(job, len(cases))
-            raise PortError(f"{self.name}: {error}; its job is kept: {job}{self._said()}", at) from error
+            raise PortError(f"{self.name}: {error}; its job is kept: {job}{self._last_words()}", at) from error
         except BaseException:
             shutil.rmtree(job, ignore_errors=True)
             raise
@@ -127,7 +127,7 @@ class Program:
                 self._serves = False
         return self._server
 
-    def _said(self) -> str:
+    def _last_words(self) -> str:
         return f"\n{self.stderr}" if self.stderr else ""
 
 
@@ -136,10 +136,10 @@ def place_for(cases: Sequence[Case]) -> Path | None:
 
     Thousands of small files take longer on a disk than their numbers to compute. None: the usual place, as ``TMPDIR`` says.
     """
-    needed = ROOM * sum(array.nbytes for case in cases for array in case.inputs.values()) + LEAST_ROOM
+    size = ROOM * sum(array.nbytes for case in cases for array in case.inputs.values()) + LEAST_ROOM
     usual = tempfile.gettempdir() == "/tmp"
     try:
-        return MEMORY if usual and os.access(MEMORY, os.W_OK) and shutil.disk_usage(MEMORY).free > needed else None
+        return MEMORY if usual and os.access(MEMORY, os.W_OK) and shutil.disk_usage(MEMORY).free > size else None
     except OSError:
         return None
 
@@ -148,7 +148,7 @@ def _first_unanswered(job: Path, count: int) -> int | None:
     """Number of the first case of a job that a program has not begun to answer: as a rule that is where it failed."""
     names = (f"{number:04d}" for number in range(count))
     return next(
-        (n for n, name in enumerate(names) if not any((job / name / left).exists() for left in ("out", "unsupported"))), None
+        (n for n, name in enumerate(names) if not any((job / name / file).exists() for file in ("out", "unsupported"))), None
     )
 
 

@@ -42,12 +42,12 @@ class FolderPort(Program):
     def stages(self) -> frozenset[str]:
         """The stages that the program supports at some size: asked once, with a small case, and with a larger one if it has no such."""
         if self._stages is None:
-            found: set[str] = set()
+            stages: set[str] = set()
             for size in PROBED:
-                cases = [smallest_case(stage, size) for stage in self._asked_for if stage not in found]
+                cases = [smallest_case(stage, size) for stage in self._asked_for if stage not in stages]
                 results = zip(cases, self.run_many(cases), strict=True)
-                found |= {case.stage for case, result in results if not isinstance(result, Unsupported)}
-            self._stages = frozenset(found)
+                stages |= {case.stage for case, result in results if not isinstance(result, Unsupported)}
+            self._stages = frozenset(stages)
         return self._stages
 
     def run(self, stage: str, inputs: Arrays, weights: Weights | None = None) -> Outputs:
@@ -78,10 +78,10 @@ class FolderPort(Program):
     def layers(self, stage: str, inputs: Arrays, weights: Weights | None = None) -> Outputs:
         """The layers of one case that it hands over, perhaps none. Errors as ``run_many``."""
         cases = [Case(stage, inputs, weights)]
-        (found,) = self.compute(
+        (layers,) = self.compute(
             cases, lambda job: write_job(job, cases, layers=True), lambda folder, _: read_layers(folder, stage, inputs)
         )
-        return found
+        return layers
 
 
 def smallest_case(stage: str, size: tuple[int, int] = PROBED[0]) -> Case:

@@ -62,13 +62,13 @@ def killed(child: int) -> bool:
 
 def children() -> list[int]:
     """The processes whose parent is this one, those that have ended but were not waited for too."""
-    found = []
+    numbers = []
     for path in Path("/proc").glob("[0-9]*/stat"):
         with suppress(OSError):
             # The name before the last parenthesis may hold anything; then come state and parent.
             if int(path.read_text(errors="replace").rpartition(")")[2].split()[1]) == os.getpid():
-                found.append(int(path.parent.name))
-    return found
+                numbers.append(int(path.parent.name))
+    return numbers
 
 
 if __name__ == "__main__":

@@ -40,7 +40,7 @@ class Copy:
     """The table of stages and the modules of the reference that it needs, once more."""
 
     def __init__(self) -> None:
-        held = {name: sys.modules.pop(name) for name in _copied()}
+        originals = {name: sys.modules.pop(name) for name in _copied()}
         try:
             spec = find_spec("conformance.protocol.stages")
             assert spec is not None
@@ -51,7 +51,7 @@ class Copy:
         finally:
             for name in _copied():
                 del sys.modules[name]
-            sys.modules.update(held)
+            sys.modules.update(originals)
 
     def get(self, name: str) -> Any:
         """The object called ``module.name``; PlantError if there is none."""
@@ -98,8 +98,8 @@ def change_arguments(name: str, **changes: Callable[..., Any]) -> Plant:
     """A function is given the change of each argument that is named; a change may read other arguments, which it names as its own."""
 
     def wrong(right: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
-        taken = _by_name(right, arguments, named)
-        return right(**{**taken, **{key: change(taken[key], **_read_by(change, taken)) for key, change in changes.items()}})
+        by_name = _by_name(right, arguments, named)
+        return right(**{**by_name, **{key: change(by_name[key], **_read_by(change, by_name)) for key, change in changes.items()}})
 
     return wrap(name, wrong)
 
@@ -119,11 +119,11 @@ def _by_name(function: Callable[..., Any], arguments: Sequence[Any], named: Mapp
     return bound.arguments
 
 
-def _read_by(change: Callable[..., Any], taken: Mapping[str, Any]) -> dict[str, Any]:
+def _read_by(change: Callable[..., Any], by_name: Mapping[str, Any]) -> dict[str, Any]:
     """Of a function's arguments those that a change reads besides its first."""
     if isinstance(change, np.ufunc):
         return {}
-    return {key: taken[key] for key in list(signature(change).parameters)[1:] if key in taken}
+    return {key: by_name[key] for key in list(signature(change).parameters)[1:] if key in by_name}
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,9 +205,9 @@ class Variant:
 
     def layers(self, stage: str, inputs: Arrays, weights: Weights | None = None) -> Outputs:
         """Activations of the stage's layers, see `conformance.protocol.layers`."""
-        with self._watch.open() as seen:
+        with self._watch.open() as record:
             self.run(stage, inputs, weights)
-        return choose(stage, seen)
+        return choose(stage, record)
 
 
 def load(name: str, *plants: Plant, **port: Any) -> Variant:

@@ -65,7 +65,7 @@ class Server:
         self._said = 0
         self._err.seek(0)
         self._err.truncate()
-        wrong = self._asked(job, timeout)
+        wrong = self._exchange(job, timeout)
         (job / "stderr.txt").write_bytes(os.pread(self._err.fileno(), MOST_SAID, 0))
         self.stderr = tail(self._err)
         if wrong:
@@ -80,7 +80,7 @@ class Server:
             with suppress(OSError):
                 file.close()  # pyright: ignore[reportOptionalMemberAccess]
 
-    def _asked(self, job: Path, timeout: float) -> str:
+    def _exchange(self, job: Path, timeout: float) -> str:
         """The fault; "" if there was none."""
         assert self._process.stdin is not None
         end = time.monotonic() + timeout
@@ -88,14 +88,14 @@ class Server:
             self._process.stdin.write(f"{job}\n".encode())
             self._process.stdin.flush()
         except OSError:
-            return self._ended()
+            return self._ending()
         while True:
             try:
                 line = self._lines.get(timeout=LOOK)
             except Empty:
                 line = ""
             if line is None:
-                return self._ended()
+                return self._ending()
             if line.startswith(DONE):
                 return (
                     "" if line == f"{DONE}{job}" else f"answered for another job: expected {job}, got {line[len(DONE) :][:200]}"
@@ -105,7 +105,7 @@ class Server:
             if time.monotonic() > end:
                 return f"stopped after {timeout:g} s"
 
-    def _ended(self) -> str:
+    def _ending(self) -> str:
         with suppress(subprocess.TimeoutExpired):
             self._process.wait(GRACE)
         return f"{describe(self._session.status(self._session.close()))} while it served"
@@ -116,11 +116,11 @@ class Server:
     def _listen(self) -> None:
         """Take its lines, of which those beyond ``MOST_LINE`` are no answers."""
         assert self._process.stdout is not None
-        held = b""
+        rest = b""
         while some := os.read(self._process.stdout.fileno(), MOST_LINE):
             self._said += len(some)
-            *lines, held = (held + some).split(b"\n")
+            *lines, rest = (rest + some).split(b"\n")
             for line in lines:
                 self._lines.put(line.decode(errors="replace").rstrip("\r"))
-            held = held[-MOST_LINE:]
+            rest = rest[-MOST_LINE:]
         self._lines.put(None)

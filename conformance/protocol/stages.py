@@ -68,9 +68,9 @@ def _stage(
     *,
     weights: bool = False,
 ) -> Stage:
-    taken = {key: array_spec(text) for key, text in inputs.items()}
-    given = {key: array_spec(text) for key, text in outputs.items()}
-    return Stage(name, taken, given, weights, compute)
+    input_specs = {key: array_spec(text) for key, text in inputs.items()}
+    output_specs = {key: array_spec(text) for key, text in outputs.items()}
+    return Stage(name, input_specs, output_specs, weights, compute)
 
 
 def _warp(a: Arrays, _: Weights) -> Outputs:
@@ -105,8 +105,8 @@ def _frame_inputs(a: Arrays) -> FrameInputs:
 
 def network_inputs(a: Arrays, weights: Weights) -> Outputs:
     """The inputs of stage ``network`` that stage ``frame`` makes of its own."""
-    made = prepare(_frame_inputs(a), second=weights.second_color, test=weights.hole_test, hole_fill=weights.hole_fill)
-    return {"color": made.color, "gbuffer": made.gbuffer, "mask": made.mask, "history": made.history}
+    prepared = prepare(_frame_inputs(a), second=weights.second_color, test=weights.hole_test, hole_fill=weights.hole_fill)
+    return {"color": prepared.color, "gbuffer": prepared.gbuffer, "mask": prepared.mask, "history": prepared.history}
 
 
 _ROWS = (
@@ -256,10 +256,10 @@ def check_input_shapes(stage: str, inputs: Arrays, dtype: str | None = None, lab
 
 def require_inputs(stage: str, names: Iterable[str], label: Label = str) -> None:
     """Raise ArrayError if a name is not one of the stage's inputs."""
-    taken = find(stage).inputs
+    specs = find(stage).inputs
     for name in names:
-        if name not in taken:
-            raise ArrayError(f"{label(name)}: not an input of stage {stage} ({', '.join(taken)})")
+        if name not in specs:
+            raise ArrayError(f"{label(name)}: not an input of stage {stage} ({', '.join(specs)})")
 
 
 def check_outputs(stage: str, outputs: Arrays, sizes: Sizes, dtype: str = "float32", label: Label = str) -> None:

@@ -31,7 +31,7 @@ class Functions(Protocol):
 
 
 @dataclass
-class Seen:
+class Activations:
     """Arrays of one computation.
 
     Attributes:
@@ -57,30 +57,30 @@ class Watch:
     """Watches one copy, whose functions it wraps."""
 
     def __init__(self, functions: Functions) -> None:
-        self._seen: ContextVar[Seen | None] = ContextVar("seen", default=None)
+        self._seen: ContextVar[Activations | None] = ContextVar("seen", default=None)
         for name in LAYER_FUNCTIONS:
-            functions.wrap_all(name, self._around(lambda seen, given, y: seen.note(given[2], y)))
-        functions.wrap_all(ACTIVATION, self._around(lambda seen, given, y: seen.note_activation(given[0], y)))
+            functions.wrap_all(name, self._around(lambda record, arguments, y: record.note(arguments[2], y)))
+        functions.wrap_all(ACTIVATION, self._around(lambda record, arguments, y: record.note_activation(arguments[0], y)))
         for name, results in RESULTS.items():
-            functions.wrap_all(name, self._around(lambda seen, _, y, results=results: _note_all(seen, results, y)))
+            functions.wrap_all(name, self._around(lambda record, _, y, results=results: _note_all(record, results, y)))
 
     @contextmanager
-    def open(self) -> Generator[Seen]:
+    def open(self) -> Generator[Activations]:
         """Record while this is open; otherwise nothing is kept."""
-        seen = Seen()
-        token = self._seen.set(seen)
+        record = Activations()
+        token = self._seen.set(record)
         try:
-            yield seen
+            yield record
         finally:
             self._seen.reset(token)
 
-    def _around(self, note: Callable[[Seen, tuple[Any, ...], Any], None]) -> Callable[[Function], Function]:
+    def _around(self, note: Callable[[Activations, tuple[Any, ...], Any], None]) -> Callable[[Function], Function]:
         def around(compute: Function) -> Function:
             @wraps(compute)
-            def noted(*given: Any, **named: Any) -> Any:
-                result = compute(*given, **named)
-                if (seen := self._seen.get()) is not None:
-                    note(seen, given, result)
+            def noted(*arguments: Any, **named: Any) -> Any:
+                result = compute(*arguments, **named)
+                if (record := self._seen.get()) is not None:
+                    note(record, arguments, result)
                 return result
 
             return noted
@@ -88,6 +88,6 @@ class Watch:
         return around
 
 
-def _note_all(seen: Seen, names: tuple[str, ...], result: Any) -> None:
+def _note_all(record: Activations, names: tuple[str, ...], result: Any) -> None:
     for name in names:
-        seen.note(name, getattr(result, name, result))
+        record.note(name, getattr(result, name, result))

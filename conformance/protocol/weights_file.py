@@ -32,21 +32,21 @@ def serialise(weights: Weights) -> bytes:
     """
     tensors = {name: tensor.astype("<f4", copy=False).tobytes() for name, tensor in check(weights).items()}
     rng = _generator(weights)
-    held, begin = {}, 0
-    stored = [str(name) for name in rng.permutation([*tensors])]
-    for name in stored:
-        held[name] = begin, begin + len(tensors[name])
+    offsets, begin = {}, 0
+    names = [str(name) for name in rng.permutation([*tensors])]
+    for name in names:
+        offsets[name] = begin, begin + len(tensors[name])
         begin += len(tensors[name])
     metadata = _in_any_order(rng, {**format_metadata(weights), **(FURTHER if rng.random() < 0.5 else {})})
     entries: list[tuple[str, Any]] = []
     for name in rng.permutation([*tensors]):
-        entry = {"dtype": "F32", "shape": [*weights[str(name)].shape], "data_offsets": [*held[str(name)]]}
+        entry = {"dtype": "F32", "shape": [*weights[str(name)].shape], "data_offsets": [*offsets[str(name)]]}
         entries.append((str(name), _in_any_order(rng, entry)))
     entries.insert(int(rng.choice([0, len(entries), len(entries) // 2])), ("__metadata__", metadata))
     compact = bool(rng.random() < 0.5)
     header = json.dumps(dict(entries), separators=(",", ":") if compact else (", ", ": ")).encode()
     header += b" " * (-len(header) % ALIGNED + ALIGNED * int(rng.choice(MORE)))
-    return len(header).to_bytes(8, "little") + header + b"".join(tensors[name] for name in stored)
+    return len(header).to_bytes(8, "little") + header + b"".join(tensors[name] for name in names)
 
 
 def shuffled(weights: Weights) -> Weights:

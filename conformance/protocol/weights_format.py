@@ -37,8 +37,8 @@ def take_format(metadata: dict[str, str]) -> Weights:
     """
     version = metadata.pop(VERSION_KEY, None)
     if version not in VERSIONS:
-        found = "no such entry" if version is None else repr(str(version)[:20])
-        raise WeightsError(f"expected {VERSION_KEY} 1, 3, 4 or 5 in the metadata, found {found}")
+        got = "no such entry" if version is None else repr(str(version)[:20])
+        raise WeightsError(f"expected {VERSION_KEY} 1, 3, 4 or 5 in the metadata, found {got}")
     later = {NEWEST_ALONE: (SECOND_COLOR_KEY, HOLE_TEST_KEY, HOLE_FILL_KEY), WITH_RESHADE: ()}.get(version, (HOLE_FILL_KEY,))
     for key in later:
         if key in metadata:
@@ -56,7 +56,7 @@ Name = TypeVar("Name", bound=str)
 
 def _named(metadata: dict[str, str], key: str, names: tuple[Name, ...]) -> Name:
     named = metadata.pop(key, "")
-    for known in names:
-        if named == known:
-            return known
+    for name in names:
+        if named == name:
+            return name
     raise WeightsError(f"{key}: expected one of {', '.join(names)} in the metadata, found {str(named)[:20]!r}")

@@ -58,25 +58,25 @@ def write_cases(
     if not folder.absolute().parent.is_dir():
         raise InputError(f"--write-cases {folder}: expected a folder in a folder that exists")
     with tell_errors(folder):
-        made = Path(tempfile.mkdtemp(prefix=".stss-", dir=folder.absolute().parent))
+        temporary = Path(tempfile.mkdtemp(prefix=".stss-", dir=folder.absolute().parent))
     try:
         with tell_errors(folder):
-            archive = _Archive(made)
+            archive = _Archive(temporary)
             for test in stored_tests(stages, Arithmetic(dtype, winograd), tier, seed):
                 archive.add(test)
                 tell(f"{test.id}: {f'{len(test.cases)} cases' if test.cases is not None else 'a property, not stored'}")
-            asked = {
+            request = {
                 "stages": [*stages],
                 "tier": tier.name,
                 "seed": seed,
                 "dtype": dtype,
                 "winograd": winograd,
             }
-            index = archive.finish(asked)
-            made.chmod(0o755)
-            made.rename(folder)
+            index = archive.finish(request)
+            temporary.chmod(0o755)
+            temporary.rename(folder)
     except BaseException:
-        shutil.rmtree(made, ignore_errors=True)
+        shutil.rmtree(temporary, ignore_errors=True)
         raise
     return index
 
@@ -95,17 +95,17 @@ class _Archive:
     def add(self, test: StoredTest) -> None:
         """Add a test and its cases."""
         before = len(self._cases)
-        for stored in test.cases or ():
-            self._add(test.id, stored)
+        for case in test.cases or ():
+            self._add(test.id, case)
         self._tests.append({
             "id": test.id, "property": test.property, "stored": test.cases is not None, "cases": len(self._cases) - before,
             "undecided": test.undecided,
         })  # fmt: skip
 
-    def finish(self, asked: dict[str, Any]) -> dict[str, Any]:
+    def finish(self, request: dict[str, Any]) -> dict[str, Any]:
         """Write the index and the checksums."""
         index = {
-            "format": FORMAT, "versions": versions_of_cases(), **asked, "inputs_sha256": self._asked.hexdigest(),
+            "format": FORMAT, "versions": versions_of_cases(), **request, "inputs_sha256": self._asked.hexdigest(),
             "tests": self._tests, "cases": self._cases,
         }  # fmt: skip
         (self._folder / INDEX).write_text(json.dumps(index, indent=1) + "\n", encoding="utf-8")
@@ -113,24 +113,24 @@ class _Archive:
         (self._folder / SUMS).write_text("".join(self._sums), encoding="utf-8")
         return index
 
-    def _add(self, test: str, stored: StoredCase) -> None:
-        name, case = f"{len(self._cases):04d}", stored.case
+    def _add(self, test: str, row: StoredCase) -> None:
+        name, case = f"{len(self._cases):04d}", row.case
         write_job(self._folder, [case], len(self._cases))
-        given = self._folder / name / "in"
-        for file in (self._folder / name / "stage", *(given / f"{input_}.npy" for input_ in case.inputs)):
+        inputs = self._folder / name / "in"
+        for file in (self._folder / name / "stage", *(inputs / f"{input_}.npy" for input_ in case.inputs)):
             self._asked.update(self._note(file).encode())
         if case.weights is not None:
-            line = self._note(given / WEIGHTS)
+            line = self._note(inputs / WEIGHTS)
             self._asked.update(line.encode())
-            first = self._weights.setdefault(line[:64], given / WEIGHTS)
-            if first != given / WEIGHTS:  # the same weights are one file under many names
-                (given / WEIGHTS).unlink()
-                link(first, given / WEIGHTS)
+            first = self._weights.setdefault(line[:64], inputs / WEIGHTS)
+            if first != inputs / WEIGHTS:  # the same weights are one file under many names
+                (inputs / WEIGHTS).unlink()
+                link(first, inputs / WEIGHTS)
         self._cases.append({
             "case": name, "test": test, "stage": case.stage,
             "inputs": {input_: f"{name}/in/{input_}.npy" for input_ in case.inputs},
             "weights": None if case.weights is None else f"{name}/in/{WEIGHTS}",
-            "outputs": {output: self._write_right(name, output, right) for output, right in stored.expected.items()},
+            "outputs": {output: self._write_right(name, output, right) for output, right in row.expected.items()},
         })  # fmt: skip
 
     def _write_right(self, name: str, output: str, right: Expected) -> dict[str, Any]:

@@ -61,20 +61,20 @@ def keep_failure(folder: Path, name: str, failure: Failure, replay: str, write: 
     place = folder / name
     make_folder(folder)
     with tell_errors(folder):
-        made = Path(tempfile.mkdtemp(prefix=".", dir=folder))
+        temporary = Path(tempfile.mkdtemp(prefix=".", dir=folder))
     try:
         with tell_errors(place):
-            _write_failure(made, failure.finding, f"{replay} --replay {shlex.quote(str(place))}", write)
-            (made / DRAWN).mkdir()
-            write_drawn(made / DRAWN, name, [*failure.before, failure.drawn])
-            (made / SUMS).write_bytes(sums_below(made))
-            made.chmod(0o755)
+            _write_failure(temporary, failure.finding, f"{replay} --replay {shlex.quote(str(place))}", write)
+            (temporary / DRAWN).mkdir()
+            write_drawn(temporary / DRAWN, name, [*failure.before, failure.drawn])
+            (temporary / SUMS).write_bytes(sums_below(temporary))
+            temporary.chmod(0o755)
             if os.path.lexists(place) and not _is_ours(place):
                 move_aside(place)
             shutil.rmtree(place, ignore_errors=True)
-            made.rename(place)
+            temporary.rename(place)
     except BaseException:
-        shutil.rmtree(made, ignore_errors=True)
+        shutil.rmtree(temporary, ignore_errors=True)
         raise
     return place
 

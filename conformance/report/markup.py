@@ -36,9 +36,9 @@ def row_of(r: TestResult) -> str:
 def failure_of(r: TestResult, folder: Path | None) -> str:
     """A failure: the text and the picture of its folder, or its message alone."""
     picture = folder / "picture.png" if folder else None
-    shown = ""
+    picture_html = ""
     if picture is not None and picture.exists():
-        shown = (
+        picture_html = (
             f'<p><img alt="port, expected, error" src="data:image/png;base64,{base64.b64encode(picture.read_bytes()).decode()}">'
         )
     again = (
@@ -46,7 +46,7 @@ def failure_of(r: TestResult, folder: Path | None) -> str:
         if folder
         else f"<p>{html.escape(r.message)}"
     )
-    return f'<h2 class="failed" id="{html.escape(r.id)}"><code>{html.escape(r.id)}</code></h2>{again}{shown}'
+    return f'<h2 class="failed" id="{html.escape(r.id)}"><code>{html.escape(r.id)}</code></h2>{again}{picture_html}'
 
 
 def number_of(ratio: float) -> str:

@@ -59,10 +59,10 @@ def draw(got: NDArray[Any], expected: Expected) -> Picture | None:
     got, want, ratio = (a[rows, columns] for a in (got, want, ratio))
     planes = [a if a.ndim == 3 else a[..., None] for a in (got.astype(np.float64), want)]
     wrong = (ratio if ratio.ndim == 3 else ratio[..., None]).max(axis=-1)
-    shown = int(np.argmax(ratio.max(axis=(0, 1)) if ratio.ndim == 3 else np.zeros(1))) if planes[0].shape[-1] != 3 else None
-    chosen = [np.nan_to_num(p if shown is None else np.repeat(p[..., shown : shown + 1], 3, axis=-1)) for p in planes]
-    low, high = chosen[1].min(), chosen[1].max()
-    scaled = [np.clip((p - low) / (high - low if high > low else 1), 0, 1) for p in chosen]
+    channel = int(np.argmax(ratio.max(axis=(0, 1)) if ratio.ndim == 3 else np.zeros(1))) if planes[0].shape[-1] != 3 else None
+    images = [np.nan_to_num(p if channel is None else np.repeat(p[..., channel : channel + 1], 3, axis=-1)) for p in planes]
+    low, high = images[1].min(), images[1].max()
+    scaled = [np.clip((p - low) / (high - low if high > low else 1), 0, 1) for p in images]
     with np.errstate(divide="ignore"):
         decades = np.log10(wrong)
     above = max(DECADES, math.ceil(decades[np.isfinite(decades)].max(initial=0)))
@@ -74,7 +74,7 @@ def draw(got: NDArray[Any], expected: Expected) -> Picture | None:
     gap = np.full((panels[0].shape[0], GAP, 3), PAPER, np.uint8)
     sheet = np.concatenate([gap, *(each for panel in panels for each in (panel, gap))], axis=1)
     words = f"port, expected, error / bound (black 1e-{DECADES}, red 1, white 1e{above})"
-    words += "" if shown is None else f", channel {shown}"
+    words += "" if channel is None else f", channel {channel}"
     if want.shape != expected.want.shape:
         words += f"; rows {rows.start} to {rows.stop - 1} and columns {columns.start} to {columns.stop - 1} of the frame"
     return Picture(np.pad(sheet, ((GAP, GAP), (0, 0), (0, 0)), constant_values=PAPER), words)

@@ -189,13 +189,13 @@ def passed(results: Sequence[TestResult]) -> bool:
     return all(r.outcome in ("passed", "skipped", "known") for r in results)
 
 
-def write_json(path: Path, found: dict[str, Any]) -> None:
+def write_json(path: Path, data: dict[str, Any]) -> None:
     """Write the object that `to_json` returns.
 
     Raises:
         InputError: the file cannot be written.
     """
-    write_named(path, json.dumps(found, indent=1) + "\n")
+    write_named(path, json.dumps(data, indent=1) + "\n")
 
 
 def write_page(path: Path, judge: Judge, results: Sequence[TestResult], folders: dict[str, Path]) -> None:
@@ -220,11 +220,11 @@ def write_page(path: Path, judge: Judge, results: Sequence[TestResult], folders:
     failures = "".join(failure_of(r, folders.get(r.id)) for r in results if r.outcome in ("failed", "error"))
     bad = [r.id for r in results if r.outcome in ("failed", "error")]
     links = ", ".join(f'<a href="#{html.escape(name)}"><code>{html.escape(name)}</code></a>' for name in bad)
-    told = f"<p>{len(bad)} of {len(results)} tests failed: {links}</p>" if bad else ""
+    summary = f"<p>{len(bad)} of {len(results)} tests failed: {links}</p>" if bad else ""
     body = f"""<h1>{html.escape(printable(judge.port.name))} {verdict}</h1>
 <p>{arithmetic}; tier {judge.tier.name}, seed {judge.seed}; {counted["cases"]} cases; {counted["undecided"]} numbers decided by rounding,
 {counted["unjudged"]} cases not judged for that; stss {VERSION}.</p>
-{told}
+{summary}
 {table_of("Outputs", ("stage", "output"), ("largest error / bound",), outputs)}
 {failures}
 {table_of("Tests", ("test", "what it asks", "outcome"), ("cases", "error / bound"), rows, stack=True)}"""

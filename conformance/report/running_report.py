@@ -53,10 +53,10 @@ class RunningReport:
             self._advance = self._bar.enter_context(show_progress(self._terminal, total, "tests"))
         self.results.append(result)
         self._total = total
-        done = f"{len(self.results)} of {total} tests"
+        count = f"{len(self.results)} of {total} tests"
         self._advance(f"{result.id}: {result.outcome}")
         if result.outcome in ("failed", "error"):
-            echo(f"{done}: {result.outcome}: {result.id}: {result.message}")
+            echo(f"{count}: {result.outcome}: {result.id}: {result.message}")
             for line in result.record.failure.finding.terms if result.record.failure is not None else ():
                 echo(f"  {line}")
             if result.record.failure is not None:

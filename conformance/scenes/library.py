@@ -101,8 +101,8 @@ def _blinking(at: Vector) -> Callable[[float], Pose]:
     """A place that is left for one under the ground every ``BLINK`` frames, from frame 8 on."""
 
     def path(frame: float) -> Pose:
-        shown = math.floor((frame - 8) / BLINK) % 2 == 0
-        return (at if shown else (at[0], at[1], -500.0)), 0.0
+        is_lit = math.floor((frame - 8) / BLINK) % 2 == 0
+        return (at if is_lit else (at[0], at[1], -500.0)), 0.0
 
     return path
 

@@ -60,9 +60,9 @@ class Moment:
         index = np.full(direction.shape[1], SKY)
         for i in range(len(self.transforms)) if among is None else among:
             transform = self.transforms[i]
-            found = self.scene.objects[i].shape.distance(transform.to_object(origin), transform.turn_to_object(direction))
-            closer = found < distance
-            distance, index = np.where(closer, found, distance), np.where(closer, i, index)
+            away = self.scene.objects[i].shape.distance(transform.to_object(origin), transform.turn_to_object(direction))
+            closer = away < distance
+            distance, index = np.where(closer, away, distance), np.where(closer, i, index)
         point = np.where(index == SKY, 0.0, origin + np.where(index == SKY, 0.0, distance) * direction)
         return self._describe(distance, index, point, direction)
 
@@ -83,13 +83,13 @@ class Moment:
         axis = direction.mean(axis=1, keepdims=True)
         axis = axis / math.hypot(*axis[:, 0])
         beam = math.acos(min(1.0, float(dot(axis, direction).min())))
-        found: list[int] = []
+        hits: list[int] = []
         for i, (item, transform) in enumerate(zip(self.scene.objects, self.transforms, strict=True)):
             offset = (transform.position - apex)[:, 0]
             away, reach = math.hypot(*offset), item.shape.reach
             if away <= reach or _angle(offset, axis[:, 0], away) <= beam + math.asin(reach / away) + 1e-6:
-                found.append(i)
-        return found
+                hits.append(i)
+        return hits
 
     def lit(self, point: Array, normal: Array) -> NDArray[np.bool_]:
         """(N,) True where no object stands between ``point`` (3, N) and the sun, and the surface faces it."""

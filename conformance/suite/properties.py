@@ -23,7 +23,7 @@ from conformance.explain.explain import explain
 from conformance.judging.findings import DepartureError
 from conformance.judging.judge import Body, Judge
 from conformance.judging.questions import Talk, ask
-from conformance.judging.search import Drawn, Made, Maker, Makers
+from conformance.judging.search import DrawnCases, MadeCases, Maker, Makers
 from conformance.protocol.stages import STAGES
 from stss_ref.weights import Weights
 
@@ -31,18 +31,18 @@ Test = Callable[[Judge], None]
 
 
 def cases(strategy: st.SearchStrategy[Any], *, slow: bool = False) -> Callable[[Body], Test]:
-    """Make a test of a property on drawn cases: see `Drawn`."""
-    return _tested_on(Drawn(strategy, slow=slow))
+    """Make a test of a property on drawn cases: see `DrawnCases`."""
+    return _tested_on(DrawnCases(strategy, slow=slow))
 
 
 def made_cases(
-    made: Makers | Callable[[Judge], Makers], *, about: Callable[[Maker], str] = lambda _: ""
+    makers: Makers | Callable[[Judge], Makers], *, about: Callable[[Maker], str] = lambda _: ""
 ) -> Callable[[Body], Test]:
-    """Make a test of a property on a few cases that are made: see `Made`."""
-    return _tested_on(Made(made, about))
+    """Make a test of a property on a few cases that are made: see `MadeCases`."""
+    return _tested_on(MadeCases(makers, about))
 
 
-def _tested_on(source: Drawn | Made) -> Callable[[Body], Test]:
+def _tested_on(source: DrawnCases | MadeCases) -> Callable[[Body], Test]:
     def decorate(body: Body) -> Test:
         @wraps(body)
         def test(judge: Judge) -> None:
@@ -51,10 +51,10 @@ def _tested_on(source: Drawn | Made) -> Callable[[Body], Test]:
                 source.check(judge, body)
 
         # pytest looks for fixtures in the signature, and the case is no fixture.
-        made: Any = test
-        del made.__wrapped__
-        made.property, made.source = body, source
-        return made
+        property_test: Any = test
+        del property_test.__wrapped__
+        property_test.property, property_test.source = body, source
+        return property_test
 
     return decorate
 
@@ -78,13 +78,13 @@ def agrees_on_engines(stage: str) -> Test:
 
 
 def _agrees(
-    stage: str, made: Makers | Callable[[Judge], Makers], words: str, about: Callable[[Maker], str] = lambda _: ""
+    stage: str, makers: Makers | Callable[[Judge], Makers], words: str, about: Callable[[Maker], str] = lambda _: ""
 ) -> Test:
     def body(judge: Judge, case: Any) -> Talk:
         yield from judge.agrees(stage, *(case if STAGES[stage].weights else (case,)))
 
     body.__doc__ = words
-    return made_cases(made, about=about)(body)
+    return made_cases(makers, about=about)(body)
 
 
 def agrees_in_windows(stage: str) -> Test:
@@ -97,17 +97,17 @@ def agrees_in_windows(stage: str) -> Test:
     return made_cases(lambda judge: user_inputs(stage, judge.tier.large, judge.largest_side))(body)
 
 
-def same_twice(stage: str, drawn: Callable[[Body], Test]) -> Test:
+def same_twice(stage: str, decorate: Callable[[Body], Test]) -> Test:
     """Make a stage's test that nothing depends on what was computed before, on these cases."""
 
     def body(judge: Judge, case: Any) -> Talk:
         """The same inputs give the same bits again, whatever was computed between."""
-        given = case if STAGES[stage].weights else (case,)
-        first, second = yield ask(stage, *given), ask(stage, *given, again=True)
+        arguments = case if STAGES[stage].weights else (case,)
+        first, second = yield ask(stage, *arguments), ask(stage, *arguments, again=True)
         for name in first:
             judge.same(f"{stage}.{name}", np.nan_to_num(second[name]), np.nan_to_num(first[name]))
 
-    return drawn(body)
+    return decorate(body)
 
 
 def keeps_nothing_by_a_part(stage: str) -> Test:
@@ -116,8 +116,8 @@ def keeps_nothing_by_a_part(stage: str) -> Test:
     def body(judge: Judge, calls: list[Call]) -> Talk:
         """Calls agree whose inputs share all but one pixel, one array, one weight or their sums with those of the call before."""
         first, *others = calls
-        asked = [ask(stage, inputs, weights) for other in others for _, inputs, weights in (first, other)]
-        answers = yield asked
+        questions = [ask(stage, inputs, weights) for other in others for _, inputs, weights in (first, other)]
+        answers = yield questions
         judge.compare(stage, *first[1:], answers[0])
         for (what, inputs, weights), outputs in zip(others, answers[1::2], strict=True):
             judge.record.about = f"the call before differs in this alone: {what}"

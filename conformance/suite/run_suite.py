@@ -101,13 +101,13 @@ def _undisturbed() -> Generator[None]:
     Hypothesis writes out the case that failed: whole weights would take longer than the stages that compute with them.
     """
     names = ("PYTEST_ADDOPTS", "PYTEST_PLUGINS", "PYTEST_DISABLE_PLUGIN_AUTOLOAD")
-    kept = {name: os.environ.pop(name, None) for name in names}
+    values = {name: os.environ.pop(name, None) for name in names}
     os.environ["PYTEST_DISABLE_PLUGIN_AUTOLOAD"] = "1"
     try:
         with contextlib.redirect_stdout(io.StringIO()), np.printoptions(threshold=0, edgeitems=1):
             yield
     finally:
-        for name, value in kept.items():
+        for name, value in values.items():
             os.environ.pop(name, None)
             if value is not None:
                 os.environ[name] = value
@@ -172,11 +172,11 @@ class SuitePlugin:
 
     def pytest_sessionfinish(self) -> None:
         """Add what says something of the run as a whole."""
-        wanted = {
+        lacks = {
             "the port has no stage": {each for each in self._required if stage_needed(each) not in self._judge.stages},
             "not among the stages that are judged:": self._required - self._stages,
         }
-        if reasons := [f"{words} {', '.join(sorted(lacking))}" for words, lacking in wanted.items() if lacking]:
+        if reasons := [f"{words} {', '.join(sorted(lacking))}" for words, lacking in lacks.items() if lacking]:
             words = "The port has the stages that it is required to have, and they are judged."
             self._add(REQUIRED, words, "; ".join(reasons))
         if self.broken or len(self.results) < self._total or any(_judged(result) for result in self.results):
@@ -217,9 +217,9 @@ class SuitePlugin:
         return report
 
     def _take(self, item: Any, call: pytest.CallInfo[None], report: pytest.TestReport) -> TestResult:
-        stage, said = _stage(item), " ".join((item.function.__doc__ or "").split())
+        stage, words = _stage(item), " ".join((item.function.__doc__ or "").split())
         name = f"{stage}.{item.name.removeprefix('test_')}"
-        result = TestResult(name, stage, said, report.outcome, seconds=report.duration, record=self._judge.record)
+        result = TestResult(name, stage, words, report.outcome, seconds=report.duration, record=self._judge.record)
         error = call.excinfo.value if call.excinfo is not None else None
         if report.skipped:
             result.message, result.record = str(error), Record()

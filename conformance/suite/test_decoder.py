@@ -30,8 +30,8 @@ def test_agrees_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]) -
 @cases(CASES, slow=True)
 def test_each_output_channel_has_its_place(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """With a black colour and all weights 0, bias 4c + 2i + j is channel c of the pixels (2y + i, 2x + j), bit for bit."""
-    inputs, given = case
-    still = given.convert(lambda tensor: tensor * 0) | {"outc.bias": given["outc.bias"]}
+    inputs, weights = case
+    still = weights.convert(lambda tensor: tensor * 0) | {"outc.bias": weights["outc.bias"]}
     got = (yield ask("decoder", {**inputs, "color": inputs["color"] * 0}, still))["image"]
     bias = judge.round_inputs(still)["outc.bias"].reshape(3, 2, 2).transpose(1, 2, 0)
     judge.same("decoder.image", got, np.tile(bias, (got.shape[0] // 2, got.shape[1] // 2, 1)))

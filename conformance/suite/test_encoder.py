@@ -33,13 +33,13 @@ def test_agrees_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]) -
 @cases(CASES, slow=True)
 def test_what_is_masked_is_read_once(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """Where the mask is 0 everywhere, the weights of ``color * mask`` do not matter."""
-    inputs, given = case
+    inputs, weights = case
     closed = {**inputs, "mask": inputs["mask"] * 0}
-    other = given | {name: given[name].copy() for name in ("conv1.conv_feature.weight", "conv1.conv_mask.0.weight")}
+    other = weights | {name: weights[name].copy() for name in ("conv1.conv_feature.weight", "conv1.conv_mask.0.weight")}
     for name in ("conv1.conv_feature.weight", "conv1.conv_mask.0.weight"):
         other[name][:, 6:12] = 0
-    right = judge.right("encoder", closed, given)
-    first, second = yield [ask("encoder", closed, w) for w in (given, other)]
+    right = judge.right("encoder", closed, weights)
+    first, second = yield [ask("encoder", closed, w) for w in (weights, other)]
     for name, expected in right.items():
         judge.holds(f"encoder.{name}", second[name], Expected(first[name], 2 * np.asarray(expected.allowed)))
 
@@ -47,14 +47,14 @@ def test_what_is_masked_is_read_once(judge: Judge, case: tuple[Inputs, Weights])
 @cases(st.tuples(network_inputs("encoder", multiples(48)), weights(), st.integers(0, 47), st.integers(0, 47)), slow=True)
 def test_a_pixel_is_seen_from_nearby_only(judge: Judge, case: tuple[Inputs, Weights, int, int]) -> Talk:
     """Changing one pixel changes nothing beyond the layers' radius; bit for bit, except in a Winograd port."""
-    inputs, given, y, x = case
+    inputs, tensors, y, x = case
     height, width, _ = inputs["color"].shape
     y, x = y % height, x % width
     changed = {**inputs, "color": inputs["color"].copy(), "gbuffer": inputs["gbuffer"].copy()}
     changed["color"][y, x] = 0.75 - changed["color"][y, x] / 2
     changed["gbuffer"][y, x, 4:] = 0.75 - changed["gbuffer"][y, x, 4:] / 2
-    right = judge.right("encoder", inputs, given)
-    first, second = yield [ask("encoder", i, given) for i in (inputs, changed)]
+    right = judge.right("encoder", inputs, tensors)
+    first, second = yield [ask("encoder", i, tensors) for i in (inputs, changed)]
     for name, expected in right.items():
         side = height // first[name].shape[0]
         rows, columns = (np.arange(n) * side for n in first[name].shape[:2])

@@ -31,8 +31,8 @@ def test_agrees_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]) -
 @cases(CASES, slow=True)
 def test_nothing_to_be_trusted_gives_nothing(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """Where the whole window is masked, the result is 0, and not 0 / 0."""
-    inputs, given = case
-    got = (yield ask("erm", {**inputs, "mask": inputs["mask"] * 0}, given))["reshaded"]
+    inputs, weights = case
+    got = (yield ask("erm", {**inputs, "mask": inputs["mask"] * 0}, weights))["reshaded"]
     judge.same("erm.reshaded", got, np.zeros_like(got))
 
 
@@ -42,9 +42,9 @@ def test_a_masked_value_influences_nobody(judge: Judge, case: tuple[Inputs, Weig
 
     The material is left as it is, since the query at its place does read it.
     """
-    inputs, given = case
-    wide = {n: t for n, t in given.items() if n.startswith(("latentEncoder", "KEncoder")) and t.ndim == 4}
-    taps = given | {name: _centre(tensor) for name, tensor in wide.items()}
+    inputs, weights = case
+    wide = {n: t for n, t in weights.items() if n.startswith(("latentEncoder", "KEncoder")) and t.ndim == 4}
+    taps = weights | {name: _centre(tensor) for name, tensor in wide.items()}
     closed = _quarter(inputs)
     changed = {**closed, "x4": np.where(closed["mask"][3::8, 3::8, None] == 0, 3 - closed["x4"], closed["x4"])}
     right = judge.right("erm", closed, taps)["reshaded"]
@@ -55,11 +55,11 @@ def test_a_masked_value_influences_nobody(judge: Judge, case: tuple[Inputs, Weig
 @cases(CASES, slow=True)
 def test_equal_light_stays_equal(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """The average of equal values is that value, whatever their weights: if the light is the same everywhere, so is the result."""
-    inputs, given = case
-    changed = {n: t * 0 for n, t in given.items() if n.startswith("latentEncoder") and not n.endswith("4.bias")}
-    if not np.any(given["KEncoder.4.bias"]):
-        changed["KEncoder.4.bias"] = given["KEncoder.4.bias"] + np.float32(1)
-    dark = given | changed
+    inputs, weights = case
+    changed = {n: t * 0 for n, t in weights.items() if n.startswith("latentEncoder") and not n.endswith("4.bias")}
+    if not np.any(weights["KEncoder.4.bias"]):
+        changed["KEncoder.4.bias"] = weights["KEncoder.4.bias"] + np.float32(1)
+    dark = weights | changed
     open_ = {**inputs, "mask": np.ones_like(inputs["mask"])}
     right = judge.right("erm", open_, dark)["reshaded"]
     got = (yield ask("erm", open_, dark))["reshaded"]
@@ -73,12 +73,12 @@ def test_equal_light_stays_equal(judge: Judge, case: tuple[Inputs, Weights]) -> 
 @cases(st.tuples(CASES, SEEDS), slow=True)
 def test_opposite_materials_share_no_light(judge: Judge, case: tuple[tuple[Inputs, Weights], int]) -> Talk:
     """If a key is the sign of the first normal component, each place averages the light of its own sign: negative weights count as 0."""
-    (inputs, given), seed = case
+    (inputs, weights), seed = case
     height, width, _ = inputs["x4"].shape
     signs = np.random.default_rng(seed).choice([-1.0, 1.0], (height, width))
     signed = {**inputs, "gbuffer": inputs["gbuffer"].copy()}
     signed["gbuffer"][..., 0] = signs.repeat(8, axis=0).repeat(8, axis=1)
-    yield from judge.agrees("erm", signed, given | _sign_of_the_first(given))
+    yield from judge.agrees("erm", signed, weights | _sign_of_the_first(weights))
 
 
 test_the_same_twice = same_twice("erm", cases(CASES, slow=True))
@@ -98,16 +98,16 @@ test_a_users_size_agrees_in_windows = agrees_in_windows("erm")
 
 def _centre(weight: np.ndarray) -> np.ndarray:
     """The weights with all taps 0 but the one in the middle."""
-    kept = np.zeros_like(weight)
-    kept[:, :, 1, 1] = weight[:, :, 1, 1]
-    return kept
+    middle = np.zeros_like(weight)
+    middle[:, :, 1, 1] = weight[:, :, 1, 1]
+    return middle
 
 
 def _sign_of_the_first(weights: Weights) -> dict[str, np.ndarray]:
     """Weights of a KEncoder whose only key is the sign of its first input."""
     keys = {name: np.zeros_like(tensor) for name, tensor in weights.items() if name.startswith("KEncoder")}
-    for layer, output, read, value in ((0, 0, 0, 1), (0, 1, 0, -1), (2, 0, 0, 1), (2, 1, 1, 1), (4, 0, 0, 1), (4, 0, 1, -1)):
-        keys[f"KEncoder.{layer}.weight"][output, read, 1, 1] = value
+    for layer, output, source, value in ((0, 0, 0, 1), (0, 1, 0, -1), (2, 0, 0, 1), (2, 1, 1, 1), (4, 0, 0, 1), (4, 0, 1, -1)):
+        keys[f"KEncoder.{layer}.weight"][output, source, 1, 1] = value
     return keys
 
 

@@ -48,8 +48,8 @@ def test_agrees_on_rendered_scenes(judge: Judge, case: tuple[Inputs, Weights]) -
 @cases(st.tuples(STANDS, frame_weights()), slow=True)
 def test_without_a_residual_a_still_frame_is_upsampled(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """If nothing moves and nothing is a hole, with weights of 0 an extrapolated frame has the same bits as a rendered one."""
-    inputs, given = case
-    still = given.convert(lambda tensor: tensor * 0)
+    inputs, weights = case
+    still = weights.convert(lambda tensor: tensor * 0)
     same = {**inputs, "positions": np.zeros_like(inputs["positions"])}
     same["stencils"] = np.zeros_like(inputs["stencils"])
     frames = [{**same, "steps": np.array(steps, np.int32)} for steps in ((0, 0, 0), (1, 1, 1))]
@@ -61,8 +61,8 @@ def test_without_a_residual_a_still_frame_is_upsampled(judge: Judge, case: tuple
 @cases(st.tuples(frame_inputs(steps=(0, 2, 4)), frame_weights()), slow=True)
 def test_a_rendered_frame_looks_for_no_other(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """With weights of 0 a rendered frame depends on its own colour alone."""
-    inputs, given = case
-    still = given.convert(lambda tensor: tensor * 0)
+    inputs, weights = case
+    still = weights.convert(lambda tensor: tensor * 0)
     other = {**inputs, "colors": inputs["colors"].copy(), "motions": -inputs["motions"], "positions": inputs["positions"] * 2}
     other["colors"][1:] = 0.5
     first, second = yield [ask("frame", i, still) for i in (inputs, other)]

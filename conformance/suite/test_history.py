@@ -31,21 +31,23 @@ def test_agrees_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]) -
 @cases(st.tuples(CASES, st.permutations(range(3))), slow=True)
 def test_the_three_frames_share_their_weights(judge: Judge, case: tuple[tuple[Inputs, Weights], list[int]]) -> Talk:
     """Permuting the frames, and the last layer's inputs from each, changes the result only by rounding."""
-    (inputs, given), order = case
+    (inputs, weights), order = case
     blocks = np.concatenate([np.arange(32) + 32 * i for i in order])
-    read = {name: tensor[:, blocks] for name, tensor in given.items() if name.startswith("lowlevelGated") and tensor.ndim == 4}
+    permuted = {
+        name: tensor[:, blocks] for name, tensor in weights.items() if name.startswith("lowlevelGated") and tensor.ndim == 4
+    }
     turned = {"history": inputs["history"][order]}
-    whole, got = yield ask("history", inputs, given), ask("history", turned, given | read)
-    right = judge.right("history", inputs, given)["feature"]
+    whole, got = yield ask("history", inputs, weights), ask("history", turned, weights | permuted)
+    right = judge.right("history", inputs, weights)["feature"]
     judge.holds("history.feature", got["feature"], Expected(whole["feature"], 2 * np.asarray(right.allowed)))
 
 
 @cases(CASES, slow=True)
 def test_without_weights_the_bias_is_left(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """If all weights are 0, the feature is the last layer's bias, times a gate of one half: no ReLU follows the gate."""
-    inputs, given = case
+    inputs, weights = case
     name = "lowlevelGated.conv_feature.bias"
-    still = given.convert(lambda tensor: tensor * 0) | {name: given[name]}
+    still = weights.convert(lambda tensor: tensor * 0) | {name: weights[name]}
     bias = judge.round_inputs(still)[name].astype(np.float64)
     right = judge.right("history", inputs, still)["feature"]
     got = (yield ask("history", inputs, still))["feature"]

@@ -36,16 +36,16 @@ def test_agrees_near_the_thresholds(judge: Judge, inputs: Inputs) -> Talk:
 @cases(sizes(12).flatmap(lambda size: st.tuples(st.just(size), SEEDS, st.sampled_from([np.nan, np.inf]))))
 def test_a_lost_position_is_a_hole(judge: Judge, case: tuple[Size, int, float]) -> Talk:
     """If nothing moves, a pixel is a hole where any of the four positions that it reads, its own, right and below, is not finite."""
-    size, seed, lost = case
+    size, seed, value = case
     rng = np.random.default_rng(seed)
     position = rng.integers(-8, 8, (*size, 3)) / 8
     quarters = _quarters(size, seed)
     inputs = {name: array if name == "paper" else np.zeros_like(array) for name, array in quarters.items()}
     broken = rng.random(size) < 0.2
-    previous = np.where((broken & (rng.random(size) < 0.8))[..., None] & (rng.random((*size, 3)) < 0.7), lost, position)
-    gone = ~np.asarray(np.isfinite(previous).all(axis=-1))
+    previous = np.where((broken & (rng.random(size) < 0.8))[..., None] & (rng.random((*size, 3)) < 0.7), value, position)
+    non_finite = ~np.asarray(np.isfinite(previous).all(axis=-1))
     down, right = (np.minimum(np.arange(n) + 1, n - 1) for n in size)
-    holes = gone | gone[down] | gone[:, right] | gone[down][:, right]
+    holes = non_finite | non_finite[down] | non_finite[:, right] | non_finite[down][:, right]
     got = (yield ask("holes", {**inputs, "position": position, "position_previous": previous}))["valid"]
     judge.same("holes.valid", got, (~holes).astype(np.uint8))
 

@@ -25,12 +25,12 @@ def test_agrees_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]) -
 @cases(CASES, slow=True)
 def test_padding_repeats_the_last_row_and_column(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """A frame that is padded beforehand gives the same image after cropping."""
-    inputs, given = case
+    inputs, weights = case
     height, width = inputs["mask"].shape
     rows, columns = (np.minimum(np.arange(-(-n // 8) * 8), n - 1) for n in (height, width))
     padded = {n: a[rows[:, None], columns] if a.ndim == 2 else a[..., rows[:, None], columns, :] for n, a in inputs.items()}
-    right = judge.right("network", inputs, given)["image"]
-    got, whole = yield ask("network", inputs, given), ask("network", padded, given)
+    right = judge.right("network", inputs, weights)["image"]
+    got, whole = yield ask("network", inputs, weights), ask("network", padded, weights)
     judge.holds("network.image", got["image"], Expected(whole["image"][: 2 * height, : 2 * width], 2 * np.asarray(right.allowed)))
 
 

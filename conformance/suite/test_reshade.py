@@ -35,9 +35,9 @@ def test_what_is_no_hole_stays(judge: Judge, inputs: Inputs) -> Talk:
 @cases(reshade_inputs())
 def test_what_was_read_in_holes_is_the_last_resort(judge: Judge, inputs: Inputs) -> Talk:
     """With other warped colours in holes only those holes are others that have nothing else to take, and show theirs, bit for bit."""
-    given = judge.exactly(inputs, "reshade")
-    hole = given["valid"][..., None] == 0
-    first, second = yield [ask("reshade", given | {"warped": np.where(hole, x, given["warped"])}) for x in (0.25, 0.75)]
+    exact = judge.exactly(inputs, "reshade")
+    hole = exact["valid"][..., None] == 0
+    first, second = yield [ask("reshade", exact | {"warped": np.where(hole, x, exact["warped"])}) for x in (0.25, 0.75)]
     changed = (first["reshade"] != second["reshade"]).any(axis=-1, keepdims=True)
     judge.same(
         "reshade.reshade",

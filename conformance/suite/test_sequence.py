@@ -18,10 +18,10 @@ KINDS = ((0, 2, 4), (1, 3, 5))
 @st.composite
 def sequences(draw: st.DrawFn) -> list[tuple[str, Inputs, Weights]]:
     """Draw a sequence of calls: each has the next frame, the same one, a cut, a changed part, another size, or other weights."""
-    given = draw(frame_weights())
+    weights = draw(frame_weights())
     size = draw(st.tuples(st.integers(1, 12), st.integers(1, 12)))
     frame = draw(frame_inputs(st.just(size), KINDS[0]))
-    calls = [("first", frame, given)]
+    calls = [("first", frame, weights)]
     for i in range(draw(st.integers(1, 5))):
         what = draw(st.sampled_from(["next", "again", "cut", "part", "resize", "weights", "back"]))
         if what == "next":
@@ -35,27 +35,27 @@ def sequences(draw: st.DrawFn) -> list[tuple[str, Inputs, Weights]]:
             size = draw(st.tuples(st.integers(1, 12), st.integers(1, 12)))
             frame = draw(frame_inputs(st.just(size), draw(st.sampled_from(KINDS))))
         elif what == "weights":
-            given = draw(frame_weights())
+            weights = draw(frame_weights())
         elif what == "back":
-            _, frame, given = calls[0]
+            _, frame, weights = calls[0]
             size = frame["nov"].shape
-        calls.append((what, frame, given))
+        calls.append((what, frame, weights))
     return calls
 
 
 @cases(sequences(), slow=True)
 def test_every_frame_is_as_if_it_were_the_only_one(judge: Judge, calls: list[tuple[str, Inputs, Weights]]) -> Talk:
     """A frame agrees with the reference, which keeps nothing between frames, whatever the port computed before."""
-    answers = yield [ask("frame", frame, given) for _, frame, given in calls]
-    for (_, frame, given), outputs in zip(calls, answers, strict=True):
-        judge.compare("frame", frame, given, outputs)
+    answers = yield [ask("frame", frame, weights) for _, frame, weights in calls]
+    for (_, frame, weights), outputs in zip(calls, answers, strict=True):
+        judge.compare("frame", frame, weights, outputs)
 
 
 @cases(sequences(), slow=True)
 def test_the_order_does_not_matter(judge: Judge, calls: list[tuple[str, Inputs, Weights]]) -> Talk:
     """Computing the frames in the reverse order gives the same bits."""
-    forth = yield [ask("frame", frame, given) for _, frame, given in calls]
-    back = yield [ask("frame", frame, given) for _, frame, given in reversed(calls)]
+    forth = yield [ask("frame", frame, weights) for _, frame, weights in calls]
+    back = yield [ask("frame", frame, weights) for _, frame, weights in reversed(calls)]
     for first, second in zip(forth, reversed(back), strict=True):
         judge.same("frame.image", second["image"], first["image"])
 

@@ -77,8 +77,8 @@ def test_a_part_is_as_the_whole(judge: Judge, case: tuple[Float64, Float64, int,
     whole, part = yield ask("warp", {"color": color, "motion": motion}), ask("warp", crop)
     y, x = np.indices((height - top, width - left))
     x, y = x + motion[top:, left:, 0], y + motion[top:, left:, 1]
-    read = ((x >= 0) & (y >= 0))[..., None]
-    judge.same("warp.warped", np.where(read, part["warped"], 0), np.where(read, whole["warped"][top:, left:], 0))
+    inside = ((x >= 0) & (y >= 0))[..., None]
+    judge.same("warp.warped", np.where(inside, part["warped"], 0), np.where(inside, whole["warped"][top:, left:], 0))
 
 
 @cases(
@@ -86,10 +86,10 @@ def test_a_part_is_as_the_whole(judge: Judge, case: tuple[Float64, Float64, int,
 )
 def test_lost_motion_is_off_screen(judge: Judge, case: tuple[Float64, Float64, float]) -> Talk:
     """A pixel with non-finite motion, in either component, is off screen and copies its own colour; it spoils no other pixel."""
-    color, motion, lost = case
+    color, motion, value = case
     broken = motion.copy()
-    broken[::2, ::3, 1] = lost
-    broken[1::2, ::3, 0] = -lost
+    broken[::2, ::3, 1] = value
+    broken[1::2, ::3, 0] = -value
     got, clean = yield [ask("warp", {"color": color, "motion": m}) for m in (broken, motion)]
     finite = np.isfinite(broken).all(axis=-1)
     judge.same("warp.inside", got["inside"], np.where(finite, clean["inside"], 0))

@@ -36,7 +36,7 @@ BOOT = Path("/proc/sys/kernel/random/boot_id")
 _LINE = re.compile(r"([0-9a-f]{64}) ([0-9a-f]{16}|-) (.+)")
 
 
-class Known(NamedTuple):
+class FileRecord(NamedTuple):
     """The SHA-256 of a file, and its `_state` when it had that."""
 
     digest: str
@@ -53,7 +53,7 @@ def mend(folder: Path) -> None:
     ends a process whose file goes while it links.
     """
     used, now = _is_used(folder), time.time()
-    listed, files = _read(folder), dict[str, Known]()
+    listed, files = _read(folder), dict[str, FileRecord]()
     boot = (read(BOOT, 64) or b"").decode()
     whole, damaged = 0, 0
     for name, entry in _files(folder):
@@ -63,7 +63,7 @@ def mend(folder: Path) -> None:
             continue
         data = read(Path(entry.path), MOST_BYTES) or b""
         if record is not None and record.digest == hashlib.sha256(data).hexdigest():
-            files[name] = Known(record.digest, state)
+            files[name] = FileRecord(record.digest, state)
         elif record is None and is_whole(Path(name).suffix, data):
             whole += 1
         elif not (used and _written(entry) > now - YOUNG):
@@ -139,13 +139,13 @@ def _object_ends(data: bytes) -> bool:
 
 def _remember(folder: Path, listed: set[str], boot: str) -> None:
     """Add the files that have come since to the list, which another process may have changed."""
-    new: dict[str, Known] = {}
+    new: dict[str, FileRecord] = {}
     for name, entry in _files(folder):
         if name not in listed:
             state = _state(entry, boot)
             data = read(Path(entry.path), MOST_BYTES)
             if data and is_whole(Path(name).suffix, data):
-                new[name] = Known(hashlib.sha256(data).hexdigest(), state)
+                new[name] = FileRecord(hashlib.sha256(data).hexdigest(), state)
     if new:
         _write(folder, _read(folder) | new)
 
@@ -170,10 +170,10 @@ def _state(entry: os.DirEntry[str], boot: str) -> str:
     return hashlib.sha256(what.encode()).hexdigest()[:16] if boot else "-"
 
 
-def _read(folder: Path) -> dict[str, Known]:
+def _read(folder: Path) -> dict[str, FileRecord]:
     text = (read(folder / SUMS, MOST_BYTES) or b"").decode(errors="replace")
-    return {match[3]: Known(match[1], match[2]) for line in text.splitlines() if (match := _LINE.fullmatch(line))}
+    return {match[3]: FileRecord(match[1], match[2]) for line in text.splitlines() if (match := _LINE.fullmatch(line))}
 
 
-def _write(folder: Path, files: Mapping[str, Known]) -> None:
+def _write(folder: Path, files: Mapping[str, FileRecord]) -> None:
     store(folder / SUMS, "".join(f"{digest} {state} {name}\n" for name, (digest, state) in sorted(files.items())).encode())

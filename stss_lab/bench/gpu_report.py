@@ -66,7 +66,7 @@ class Step:
 
 
 @dataclass(frozen=True)
-class Done:
+class StepResult:
     """The result of a step.
 
     Attributes:
@@ -173,7 +173,7 @@ def gpu_report(folder: Path, device: str | None, *, tiny: bool, console: Console
     }
     make_folder(folder)
     make_folder(folder / "logs")
-    outcomes: list[Done] = []
+    outcomes: list[StepResult] = []
     patience = PATIENCE if tiny else 1
     planned = steps(folder, name, tiny=tiny)
     with show_steps(console, len(planned)) as begin:
@@ -184,9 +184,9 @@ def gpu_report(folder: Path, device: str | None, *, tiny: bool, console: Console
     return all(each.outcome in ("passed", "skipped") for each in outcomes)
 
 
-def _run(step: Step, log: Path, device: str) -> Done:
+def _run(step: Step, log: Path, device: str) -> StepResult:
     if step.command is None:
-        return Done(step.name, "skipped", 0.0, step.reason)
+        return StepResult(step.name, "skipped", 0.0, step.reason)
     start = time.monotonic()
     with log.open("w+b", buffering=0) as out:
         # A benchmark's own processes would go on using the device after it.
@@ -196,7 +196,7 @@ def _run(step: Step, log: Path, device: str) -> Done:
     if ending.status is None and not ending.talked:
         outcome = "over its limit"
     lines = [line.strip() for line in log.read_text(encoding="utf-8", errors="replace").splitlines() if line.strip()]
-    return Done(step.name, outcome, round(time.monotonic() - start, 1), lines[-1] if lines else "")
+    return StepResult(step.name, outcome, round(time.monotonic() - start, 1), lines[-1] if lines else "")
 
 
 def _slower(path: Path) -> list[str]:
@@ -223,7 +223,7 @@ def _cell(text: str) -> str:
     return text.replace("|", "/")[:200]
 
 
-def _write(folder: Path, machine: dict[str, str], outcomes: Sequence[Done], *, tiny: bool) -> None:
+def _write(folder: Path, machine: dict[str, str], outcomes: Sequence[StepResult], *, tiny: bool) -> None:
     """The page: what is wrong, the steps and the machine."""
     wrong = [
         *(

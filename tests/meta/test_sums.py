@@ -9,7 +9,7 @@ from conformance.cases.exact_weights import exact_inputs, rounded_sums
 from conformance.cases.stage_inputs import multiples
 from conformance.judging.findings import DepartureError
 from conformance.judging.judge import Judge, Tier
-from conformance.judging.search import Drawn
+from conformance.judging.search import DrawnCases
 from conformance.protocol.reference_copy import load, put
 from conformance.suite.properties import find_property
 from tests.meta import right_ports as others
@@ -40,7 +40,7 @@ def port(add):
 
 def judged(port, stage, name, strategy):
     judge = Judge(port, FEW, shrink=False)
-    Drawn(strategy, slow=True).check(judge, find_property(f"{stage}.{name}"))
+    DrawnCases(strategy, slow=True).check(judge, find_property(f"{stage}.{name}"))
     return judge.record.worst
 
 
