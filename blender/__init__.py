@@ -108,13 +108,13 @@ class Render(bpy.types.Operator):
 
     def work(self, context: Any) -> Generator[str, None, str]:
         """Render, run stss and load the result; yields lines on how far it is, and returns the last."""
-        scene, chosen = context.scene, context.scene.stss
-        folder, command = Path(bpy.path.abspath(chosen.folder)), chosen_command(context)
-        options = film.harmless(chosen.options)
-        told = yield from film.render(scene, folder)
+        scene, settings = context.scene, context.scene.stss
+        folder, command = Path(bpy.path.abspath(settings.folder)), chosen_command(context)
+        options = film.harmless(settings.options)
+        warnings = yield from film.render(scene, folder)
         out = yield from film.supersample(folder, scene.frame_start, command, options)
         image = film.load(out)
-        for line in told:
+        for line in warnings:
             self.report({"WARNING"}, line)
         for area in context.screen.areas if context.screen is not None else ():
             if area.type == "IMAGE_EDITOR":

@@ -49,8 +49,8 @@ def install(packages: Path, target: str, python: str) -> None:
         left_out = Path(folder, "left_out.txt")
         left_out.write_text(LEFT_OUT)
         there = ["--target", packages, "--python-platform", PLATFORMS[target], "--python-version", python]
-        chosen = ["--only-binary", ":all:", "--excludes", left_out, *Path(folder).glob("*.whl")]
-        subprocess.run([uv, "pip", "install", "--quiet", "--no-config", "--link-mode", "copy", *there, *chosen], check=True)
+        options = ["--only-binary", ":all:", "--excludes", left_out, *Path(folder).glob("*.whl")]
+        subprocess.run([uv, "pip", "install", "--quiet", "--no-config", "--link-mode", "copy", *there, *options], check=True)
     for name in ("bin", "Scripts", ".lock"):  # of uv, and programs that name a Python that is not there
         shutil.rmtree(packages / name) if (packages / name).is_dir() else (packages / name).unlink(missing_ok=True)
 
@@ -58,11 +58,11 @@ def install(packages: Path, target: str, python: str) -> None:
 def manifest(target: str, python: str) -> str:
     """The text of the manifest with platform and versions of Blender."""
     first, beyond = PYTHONS[python]
-    built = f'platforms = ["{target}"]\nblender_version_min = "{first}"\n'
+    lines = f'platforms = ["{target}"]\nblender_version_min = "{first}"\n'
     if beyond is not None:
-        built += f'blender_version_max = "{beyond}"  # the first that does not fit\n'
+        lines += f'blender_version_max = "{beyond}"  # the first that does not fit\n'
     head, table, rest = (HERE / "blender_manifest.toml").read_text(encoding="utf-8").partition("[permissions]")
-    return f"{head}{built}\n{table}{rest}"
+    return f"{head}{lines}\n{table}{rest}"
 
 
 def pack(out: Path, packages: Path, text: str) -> Iterator[tuple[str, int]]:
@@ -85,19 +85,19 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path, required=True, help="the zip to write")
     parser.add_argument("--platform", choices=PLATFORMS, default=this_platform(), help="default: this one")
     parser.add_argument("--python", choices=PYTHONS, default="3.11", help="3.11 is Blender 4.2 to 5.0, 3.13 later ones")
-    given = parser.parse_args()
-    part = given.output.with_name(f".{given.output.name}.part")
+    options = parser.parse_args()
+    part = options.output.with_name(f".{options.output.name}.part")
     with tempfile.TemporaryDirectory(prefix="stss-") as folder:
-        print(f"packages of stss run for {given.platform}, Python {given.python}: from the package index, some 80 MB")
-        install(Path(folder), given.platform, given.python)
+        print(f"packages of stss run for {options.platform}, Python {options.python}: from the package index, some 80 MB")
+        install(Path(folder), options.platform, options.python)
         try:
-            for name, size in pack(part, Path(folder), manifest(given.platform, given.python)):
+            for name, size in pack(part, Path(folder), manifest(options.platform, options.python)):
                 if size >= 1e6:
                     print(f"{size / 1e6:6.1f} MB  {name}", flush=True)
-            part.replace(given.output)
+            part.replace(options.output)
         finally:
             part.unlink(missing_ok=True)
-    print(f"{given.output.stat().st_size / 1e6:6.1f} MB  {given.output}")
+    print(f"{options.output.stat().st_size / 1e6:6.1f} MB  {options.output}")
 
 
 if __name__ == "__main__":

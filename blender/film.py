@@ -61,7 +61,7 @@ def render(scene: Any, folder: Path) -> Generator[str, None, list[str]]:
     if scene.camera is None:
         raise FilmError("the scene has no camera")
     take(folder)
-    told = set_up(scene, scene.view_layers[0])
+    warnings = set_up(scene, scene.view_layers[0])
     numbers, here = range(scene.frame_start, scene.frame_end + 1), scene.frame_current
     files = {number: folder / "lr" / f"frame.{number:04d}.exr" for number in numbers}
     (folder / "lr").mkdir(exist_ok=True)
@@ -75,7 +75,7 @@ def render(scene: Any, folder: Path) -> Generator[str, None, list[str]]:
                 _frame(scene, number, path, colour=number % 2 == numbers[0] % 2)
     finally:
         scene.frame_set(here)
-    return told
+    return warnings
 
 
 def take(folder: Path) -> None:
@@ -168,14 +168,14 @@ def supersample(folder: Path, first: int, command: Sequence[str] = (), options: 
     # Its own packages before those of Blender's Python. -P: no module beside the .blend is one of them.
     environment = os.environ if command else {**os.environ, "PYTHONPATH": str(PACKAGES)}
     before = _times(out)
-    with tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as said:
-        process = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=said, env=environment)
+    with tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as messages:
+        process = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=messages, env=environment)
         try:
             while process.poll() is None:
-                done = len(_times(out).items() - before.items())
+                count = len(_times(out).items() - before.items())
                 yield (
-                    f"stss: {done} of {total} frames"
-                    if done
+                    f"stss: {count} of {total} frames"
+                    if count
                     else "stss starts; on a new machine it builds kernels for some minutes"
                 )
                 with suppress(subprocess.TimeoutExpired):
@@ -183,9 +183,9 @@ def supersample(folder: Path, first: int, command: Sequence[str] = (), options: 
         finally:
             process.terminate()  # where the user stopped it; else it has ended
             process.wait()
-        said.seek(0)
+        messages.seek(0)
         if process.returncode:
-            raise FilmError((said.read().strip() or f"stss ended with status {process.returncode}").splitlines()[-1])
+            raise FilmError((messages.read().strip() or f"stss ended with status {process.returncode}").splitlines()[-1])
     return out
 
 

@@ -73,33 +73,35 @@ def main() -> None:
     parser.add_argument("--stss", default="stss", help="the command that starts stss")
     parser.add_argument("--options", default="", help="more of stss run")
     parser.add_argument("-o", "--out", type=Path, required=True, help="a folder that is not there")
-    chosen = parser.parse_args()
-    told = os.fdopen(os.dup(1), "w")
+    options = parser.parse_args()
+    console = os.fdopen(os.dup(1), "w")
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # Blender's own lines
-    chosen.out.mkdir(parents=True)
-    out, command = chosen.out.resolve(), shlex.split(chosen.stss)
-    bpy.ops.wm.open_mainfile(filepath=str(chosen.shot.resolve()))
+    options.out.mkdir(parents=True)
+    out, command = options.out.resolve(), shlex.split(options.stss)
+    bpy.ops.wm.open_mainfile(filepath=str(options.shot.resolve()))
     scene, film = bpy.context.scene, extension()
-    scene.frame_start, scene.frame_end = first, last = chosen.frames
+    scene.frame_start, scene.frame_end = first, last = options.frames
     scene.cycles.use_adaptive_sampling = scene.cycles.use_denoising = False
     render_full(out / "warm", 1, 0)  # the first frames of a process load its kernels
-    render_full(out / "truth", chosen.truth, 1)
+    render_full(out / "truth", options.truth, 1)
 
-    def row(name: str, shown: Path, took: float) -> None:
-        said = subprocess.run([*command, "compare", shown, out / "truth", "--json"], check=True, capture_output=True, text=True)
-        frames = [frame["all"] for frame in json.loads(said.stdout)["frames"]]
+    def row(name: str, folder: Path, took: float) -> None:
+        result = subprocess.run(
+            [*command, "compare", folder, out / "truth", "--json"], check=True, capture_output=True, text=True
+        )
+        frames = [frame["all"] for frame in json.loads(result.stdout)["frames"]]
         psnr, ssim = (sum(frame[key] for frame in frames) / len(frames) for key in ("psnr_rgb", "ssim"))
-        print(f"{name}: {took / (last - first + 1):.2f} s, {psnr:.2f} dB, SSIM {ssim:.3f}", file=told, flush=True)
+        print(f"{name}: {took / (last - first + 1):.2f} s, {psnr:.2f} dB, SSIM {ssim:.3f}", file=console, flush=True)
 
     count = 1
-    while count <= chosen.samples:
+    while count <= options.samples:
         row(f"full-{count}", out / f"full-{count}", seconds(lambda: render_full(out / f"full-{count}", count, 0)))  # noqa: B023
         count *= 2
-    scene.cycles.samples = chosen.samples
+    scene.cycles.samples = options.samples
     half = seconds(lambda: [*film.render(scene, out / "half")])
-    made = seconds(lambda: [*film.supersample(out / "half", first, command, shlex.split(chosen.options))])
-    print(f"stss run alone: {made / (last - first + 1):.2f} s", file=told)
-    row("stss", out / "half" / "out", half + made)
+    stss_seconds = seconds(lambda: [*film.supersample(out / "half", first, command, shlex.split(options.options))])
+    print(f"stss run alone: {stss_seconds / (last - first + 1):.2f} s", file=console)
+    row("stss", out / "half" / "out", half + stss_seconds)
 
 
 if __name__ == "__main__":

@@ -29,12 +29,12 @@ def set_up(scene: Any, layer: Any) -> list[str]:
         if name not in layer.aovs:
             added = layer.aovs.add()
             added.name, added.type = name, kind
-    told: list[str] = []
+    warnings: list[str] = []
     for material in {slot.material for thing in scene.objects for slot in thing.material_slots if slot.material is not None}:
         if not _show(material):
-            told.append(f"{material.name}: no Principled BSDF; base colour, metallic and roughness are taken as 0")
+            warnings.append(f"{material.name}: no Principled BSDF; base colour, metallic and roughness are taken as 0")
     _number(scene)
-    return sorted(told)
+    return sorted(warnings)
 
 
 def _show(material: Any) -> bool:
@@ -51,18 +51,18 @@ def _show(material: Any) -> bool:
             continue
         node = tree.nodes.new("ShaderNodeOutputAOV")
         node.aov_name = name
-        shown, taken = source.inputs[SOCKETS[name]], node.inputs["Color" if kind == "COLOR" else "Value"]
-        if shown.is_linked:
-            tree.links.new(shown.links[0].from_socket, taken)
+        value, target = source.inputs[SOCKETS[name]], node.inputs["Color" if kind == "COLOR" else "Value"]
+        if value.is_linked:
+            tree.links.new(value.links[0].from_socket, target)
         else:
-            taken.default_value = shown.default_value
+            target.default_value = value.default_value
     return True
 
 
 def _number(scene: Any) -> None:
     """Give each moving object a pass index of its own; 0 stays for what rests."""
-    taken = {thing.pass_index for thing in scene.objects}
-    free = (number for number in range(1, 32768) if number not in taken)
+    used_numbers = {thing.pass_index for thing in scene.objects}
+    free = (number for number in range(1, 32768) if number not in used_numbers)
     for thing in scene.objects:
         if thing.pass_index == 0 and _moves(thing):
             thing.pass_index = next(free)

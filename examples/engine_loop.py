@@ -40,15 +40,15 @@ def jitter(number: int) -> Array:
 def draw(number: int, size: tuple[int, int]) -> dict[str, Array]:
     """The renderer: G-buffer and motion of every frame, colour of every second one, and of the first of a shot."""
     (height, width), (y, x) = size, np.indices(size).reshape(2, -1)
-    seen = look(SCENE, number, x - jitter(number)[0], y - jitter(number)[1], size)
+    view = look(SCENE, number, x - jitter(number)[0], y - jitter(number)[1], size)
     planes: dict[str, Array] = {
-        name: getattr(seen, name) for name in ("normal", "stencil", "base_color", "roughness", "metallic")
+        name: getattr(view, name) for name in ("normal", "stencil", "base_color", "roughness", "metallic")
     }
-    to_previous = seen.motion + jitter(number - 1) - jitter(number)
-    planes |= {"motion": -to_previous / (width, height), "depth": NEAR / (seen.depth / 100), "position": seen.position / 100}
+    to_previous = view.motion + jitter(number - 1) - jitter(number)
+    planes |= {"motion": -to_previous / (width, height), "depth": NEAR / (view.depth / 100), "position": view.position / 100}
     if number % 2 == 0:
         spark = (x / width - number / FRAMES) ** 2 + (y / width - 0.15) ** 2 < 0.02**2
-        planes["color"] = EXPOSURE * np.where(spark[:, None], (20.0, 8.0, 2.0), seen.color)
+        planes["color"] = EXPOSURE * np.where(spark[:, None], (20.0, 8.0, 2.0), view.color)
     return {name: plane.reshape(*size, *plane.shape[1:]) for name, plane in planes.items()}
 
 
@@ -61,16 +61,16 @@ def settle(image: NDArray[np.float32], shift: Array) -> NDArray[np.float32]:
 def main(folder: Path, size: tuple[int, int] = (HEIGHT, WIDTH), frames: int = FRAMES, weights: str = "realtime") -> None:
     """Hand over frame after frame; where nothing can be made the last picture stays."""
     folder.mkdir(parents=True, exist_ok=True)
-    loop, shown = stss.Supersampler(weights), None
+    loop, picture = stss.Supersampler(weights), None
     loop.warm_up(size)
     for number in range(frames):
         if number == DROPPED:  # the engine hung; the next frame was not rendered, so that nothing can be made for it
             continue
         camera = np.array(SCENE.camera.position(number)) / 100
         output = loop.push(stss.convert(number, draw(number, size), RULES, camera=camera, cut=number == CUT))
-        shown = shown if output is None else settle(output.image, jitter(number))
-        assert shown is not None  # the first frame was rendered
-        display = (shown / (1 + shown)) ** (1 / 2.2)  # the engine's tone mapping
+        picture = picture if output is None else settle(output.image, jitter(number))
+        assert picture is not None  # the first frame was rendered
+        display = (picture / (1 + picture)) ** (1 / 2.2)  # the engine's tone mapping
         oiio.ImageBuf(np.ascontiguousarray(display)).write(str(folder / f"{number:04d}.png"), "uint8")
         print(f"frame {number}: {'the last one again' if output is None else output.kind.value}")
 

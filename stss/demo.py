@@ -87,10 +87,10 @@ def demo(
     Raises:
         InputError: ``out`` holds an earlier demo and ``overwrite`` is not set, or cannot be written to.
     """
-    chosen = None if weights == AUTO else load(weights)  # what is wrong with them is said before anything is rendered
+    own_weights = None if weights == AUTO else load(weights)  # what is wrong with them is said before anything is rendered
     folders = [folder_of(out / "output"), folder_of(out / "bilinear"), page_folder(out / "page.html")]
     require_places(reads=[Path(weights)], folders=[_folder(out), *folders])
-    begun, ended = Event(), Event()
+    start, end = Event(), Event()
 
     def tell(line: str) -> None:
         console.print(line, soft_wrap=True, highlight=False, markup=False)
@@ -100,9 +100,9 @@ def demo(
 
             def go_on(number: int) -> None:
                 del number
-                if ended.is_set():
+                if end.is_set():
                     raise CancelledError
-                begun.set()
+                start.set()
                 advance("rendering")
 
             write_demo_sequence(out, frames, size, overwrite=overwrite, on_frame=go_on)
@@ -110,14 +110,14 @@ def demo(
 
     with ThreadPoolExecutor(1) as pool:
         rendering = pool.submit(render_all)
-        rendering.add_done_callback(lambda _: begun.set())
+        rendering.add_done_callback(lambda _: start.set())
         try:
-            begun.wait()  # what stands in the way of the first frame is said at once
+            start.wait()  # what stands in the way of the first frame is said at once
             if backend == "cl" and not rendering.done():
-                _test_device(chosen, compute, tell)
+                _test_device(own_weights, compute, tell)
             sequence = rendering.result()
         finally:
-            ended.set()
+            end.set()
     loaded = choose_weights(weights, sequence, tell)
 
     def score(name: str, method: LoadedWeights, engine: Backend) -> Comparison:
@@ -129,12 +129,12 @@ def demo(
         print_comparison(compared, console)
         return compared
 
-    found: dict[str, Comparison] = {}
+    comparisons: dict[str, Comparison] = {}
     if weights != BILINEAR:  # without a network the reference is fast enough, and nothing is compiled for it
         bilinear = load(BILINEAR)
-        found["bilinear"] = score("bilinear", bilinear, open_backend("ref", bilinear.weights))
-    found["output"] = score("output", loaded, open_backend(backend, loaded.weights, compute, tell=tell))
-    versions = [Version(n, _MEANINGS[n], find_pairs(out / n, out / "truth")[0], compared) for n, compared in found.items()]
+        comparisons["bilinear"] = score("bilinear", bilinear, open_backend("ref", bilinear.weights))
+    comparisons["output"] = score("output", loaded, open_backend(backend, loaded.weights, compute, tell=tell))
+    versions = [Version(n, _MEANINGS[n], find_pairs(out / n, out / "truth")[0], compared) for n, compared in comparisons.items()]
     folder = _folder(out)
     with folder.open(refusal=None):
         write_comparison(

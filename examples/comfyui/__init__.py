@@ -56,8 +56,8 @@ class LoadFrames:
     def IS_CHANGED(cls, folder: str, profile: str, first: int, count: int) -> str:  # noqa: N802
         """Another value once a file is another one: the frames are then read again."""
         table = stss.load_profile("stss" if profile == "auto" else profile)
-        found = find_frames(Path(folder), set(table.files.values()) | {""})
-        return repr([(n, path.stat().st_mtime_ns) for n in sorted(found) for path in found[n].values()])
+        frames = find_frames(Path(folder), set(table.files.values()) | {""})
+        return repr([(n, path.stat().st_mtime_ns) for n in sorted(frames) for path in frames[n].values()])
 
     def load(self, folder: str, profile: str, first: int, count: int) -> tuple[Any, GBuffer]:
         """Read ``count`` display frames; every second one from the first rendered one counts as rendered."""
@@ -103,9 +103,9 @@ class Supersample:
         if colors.shape != (count, *size, 3):
             raise InputError(f"images: expected the {count} rendered frames, {(count, *size, 3)}; found {colors.shape}")
         loop, step = stss.Supersampler(weights, backend=backend, transfer="none"), _progress(len(gbuffer.frames))
-        made = [output for frame in _with_colors(gbuffer, colors) if (output := loop.push(frame)) is not None and step()]
-        frames = np.stack([np.clip(output.image, 0, 1) for output in made])
-        return _tensor(frames), _tensor(np.stack([~output.valid for output in made]).astype(np.float32))
+        outputs = [output for frame in _with_colors(gbuffer, colors) if (output := loop.push(frame)) is not None and step()]
+        frames = np.stack([np.clip(output.image, 0, 1) for output in outputs])
+        return _tensor(frames), _tensor(np.stack([~output.valid for output in outputs]).astype(np.float32))
 
 
 def _with_colors(gbuffer: GBuffer, colors: np.ndarray[Any, Any]) -> Iterator[stss.Buffers]:

@@ -75,12 +75,12 @@ class Calls:
             compute.dispatch_workgroups(*groups)
             compute.end()
         gpu.queue.submit([encoder.finish()])
-        read = [
+        pictures = [
             np.frombuffer(gpu.queue.read_buffer(buffers[r.buffer]), "f4").reshape(r.height, r.width, r.channels) for r in results
         ]
         for buffer in buffers:
             buffer.destroy()
-        return read
+        return pictures
 
 
 def code(file: str) -> str:

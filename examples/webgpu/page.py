@@ -60,14 +60,14 @@ def recorded(window: list[DisplayFrame], weights: Weights, store: Store) -> dict
         return None
     maker = Maker(weights)
     image: Picture = maker.frame(vars(frame_inputs(window, planned.steps)))
-    shown = window[-1 - planned.steps[0]].color
-    assert shown is not None
+    color = window[-1 - planned.steps[0]].color
+    assert color is not None
     return {
         "name": f"frame {window[-1].number}, {'rendered' if planned.steps[0] == 0 else 'not rendered'}",
         "buffers": [b if isinstance(b, int) else [store.place(b)] for b in maker.buffers],
         "calls": maker.calls,
         "image": [image.buffer, image.height, image.width],
-        "color": [store.place(np.ascontiguousarray(shown, np.float32)), *shown.shape[:2]],
+        "color": [store.place(np.ascontiguousarray(color, np.float32)), *color.shape[:2]],
     }
 
 
@@ -78,17 +78,17 @@ def main() -> None:
     parser.add_argument("page", type=Path)
     parser.add_argument("--weights", default="auto", help="as for stss run")
     parser.add_argument("--frames", type=int, default=8, help="most frames of the page")
-    chosen = parser.parse_args()
+    options = parser.parse_args()
     try:
-        sequence = open_sequence(chosen.sequence)
-        weights = choose_weights(chosen.weights, sequence, print).weights
+        sequence = open_sequence(options.sequence)
+        weights = choose_weights(options.weights, sequence, print).weights
         rendered = choose_rendered(sequence.numbers, sequence.rendered, None)
-        numbers = sequence.numbers[: chosen.frames]
+        numbers = sequence.numbers[: options.frames]
         frames = [prepare(sequence.load(n, color=n in rendered), transfer("srgb"), "scale") for n in numbers]
         store = Store()
-        made = [recorded(list(window_at(frames, i)), weights, store) for i in range(len(frames))]
+        frame_calls = [recorded(list(window_at(frames, i)), weights, store) for i in range(len(frames))]
         data = {
-            "frames": [frame for frame in made if frame is not None],
+            "frames": [frame for frame in frame_calls if frame is not None],
             "sizes": [array.size for array in store.arrays],
             "packed": store.packed(),
             "shaders": {
@@ -96,7 +96,7 @@ def main() -> None:
             },
         }
         script = (FOLDER / "page.js").read_text(encoding="utf-8")
-        write_named(chosen.page, page(f"{chosen.sequence.name}, in the browser", BODY, scripts=[script], data=data))
+        write_named(options.page, page(f"{options.sequence.name}, in the browser", BODY, scripts=[script], data=data))
     except UserError as error:
         parser.exit(2, f"{error}{os.linesep}")
 

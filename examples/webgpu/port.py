@@ -35,8 +35,8 @@ class Port:
     def run(self, stage: str, inputs: Arrays, weights: Arrays | None = None) -> dict[str, NDArray[Any]]:
         """One stage of docs/stages.md."""
         results = STAGES[stage](make := Maker(weights or {}), inputs)
-        found = dict(zip(results, make.play(list(results.values())), strict=True))
-        return {name: a[..., 0].astype(np.uint8) if name in ("valid", "inside") else a.copy() for name, a in found.items()}
+        arrays = dict(zip(results, make.play(list(results.values())), strict=True))
+        return {name: a[..., 0].astype(np.uint8) if name in ("valid", "inside") else a.copy() for name, a in arrays.items()}
 
 
 class Maker(Calls):
@@ -117,11 +117,11 @@ class Maker(Calls):
     ) -> tuple[Picture, Picture]:
         """``occlusion_motion`` and ``occlusion_warp``."""
         nearest, winner = self.empty(depth.height, depth.width), self.empty(depth.height, depth.width)
-        found, size = self.empty(depth.height, depth.width, 2), (depth.width, depth.height)
+        occlusion_motion, size = self.empty(depth.height, depth.width, 2), (depth.width, depth.height)
         self.add("occlusion_warp.splat_depth", depth, 1, size, {1: motion, 2: depth, 3: nearest, 4: winner})
         self.add("occlusion_warp.splat_index", depth, 1, size, {1: motion, 2: depth, 3: nearest, 4: winner})
-        self.add("occlusion_warp.lookup", depth, 1, size, {1: motion, 4: winner, 5: found})
-        return found, self.copy(warped, self.warp(color, found)[0], where=valid)
+        self.add("occlusion_warp.lookup", depth, 1, size, {1: motion, 4: winner, 5: occlusion_motion})
+        return occlusion_motion, self.copy(warped, self.warp(color, occlusion_motion)[0], where=valid)
 
     def reshade(
         self,
@@ -215,15 +215,15 @@ class Maker(Calls):
         scales = self.encoder(color, gbuffer, mask)
         return self.decoder([self.erm(scales[3], gbuffer, mask), self.history(history)], scales, color, size)
 
-    def frame(self, given: Arrays) -> Picture:
+    def frame(self, inputs: Arrays) -> Picture:
         """``image``."""
-        steps = [int(step) for step in given["steps"]]
-        colors = [self.put(color) for color in given["colors"]]
-        gbuffer, depth = self.put(given["gbuffer"]), given["gbuffer"][..., 3]
+        steps = [int(step) for step in inputs["steps"]]
+        colors = [self.put(color) for color in inputs["colors"]]
+        gbuffer, depth = self.put(inputs["gbuffer"]), inputs["gbuffer"][..., 3]
         height, width = depth.shape
-        chain = self.motion_chain([self.put(motion) for motion in given["motions"][: max(steps)]]) if max(steps) else []
-        surfaces = [self.put(surface(*of)) for of in zip(given["normals"], given["stencils"], given["positions"], strict=True)]
-        view = self.put(np.stack([given["nov"], depth], axis=-1))
+        chain = self.motion_chain([self.put(motion) for motion in inputs["motions"][: max(steps)]]) if max(steps) else []
+        surfaces = [self.put(surface(*of)) for of in zip(inputs["normals"], inputs["stencils"], inputs["positions"], strict=True)]
+        view = self.put(np.stack([inputs["nov"], depth], axis=-1))
         paper = getattr(self.weights, "hole_test", "footprint") == "paper"
         warped, valid = list(colors), [self.put(np.ones((height, width))) for _ in steps]
         for i, step in enumerate(steps):
@@ -234,14 +234,14 @@ class Maker(Calls):
                 valid[i] = self.empty(height, width)  # a missing frame
         instead = warped[0]
         if steps[0] and getattr(self.weights, "hole_fill", "occlusion_warp") == "reshade":
-            base_color = self.put(given["gbuffer"][..., 6:9])
+            base_color = self.put(inputs["gbuffer"][..., 6:9])
             instead = self.reshade(colors[0], warped[0], chain[steps[0] - 1], valid[0], (surfaces[1], surfaces[0]), base_color)
         elif steps[0]:
             _, instead = self.occlusion_warp(colors[0], warped[0], chain[steps[0] - 1], self.put(depth), valid[0])
         color = self.copy(instead, self.empty(height, width, 6), positive=True)
         self.copy(warped[0], color, 3, positive=True)
         if getattr(self.weights, "second_color", "newest") == "detail":
-            numbers = [self.put(np.stack([then, given["stencils"][0]], axis=-1)) for then in given["stencils"][1:]]
+            numbers = [self.put(np.stack([then, inputs["stencils"][0]], axis=-1)) for then in inputs["stencils"][1:]]
             there = [i for i, step in enumerate(steps) if step > (0, *steps)[i]]
             frames = [(colors[i], chain[steps[i] - 1], numbers[i]) for i in there]
             self.copy(self.detail(self.copy(color, self.empty(height, width, 3), channels=3), frames), color, 3)
@@ -254,48 +254,48 @@ def surface(normal: NDArray[Any], stencil: NDArray[Any], position: NDArray[Any])
     return np.concatenate([normal, stencil[..., None], position, np.zeros_like(stencil)[..., None]], axis=-1)
 
 
-def _holes(make: Maker, given: Arrays) -> dict[str, Picture]:
-    earlier, now = (surface(given[f"normal{of}"], given[f"stencil{of}"], given[f"position{of}"]) for of in ("_previous", ""))
-    view = np.stack([given["nov"], given["depth"]], axis=-1)
-    return {"valid": make.holes(*map(make.put, (given["motion"], earlier, now, view)), paper=bool(given["paper"][0]))}
+def _holes(make: Maker, inputs: Arrays) -> dict[str, Picture]:
+    earlier, now = (surface(inputs[f"normal{of}"], inputs[f"stencil{of}"], inputs[f"position{of}"]) for of in ("_previous", ""))
+    view = np.stack([inputs["nov"], inputs["depth"]], axis=-1)
+    return {"valid": make.holes(*map(make.put, (inputs["motion"], earlier, now, view)), paper=bool(inputs["paper"][0]))}
 
 
-def _reshade(make: Maker, given: Arrays) -> dict[str, Picture]:
-    earlier, now = (surface(given[f"normal{of}"], given[f"stencil{of}"], given[f"position{of}"]) for of in ("_previous", ""))
-    color, warped, motion, valid, base_color = (make.put(given[n]) for n in ("color", "warped", "motion", "valid", "base_color"))
+def _reshade(make: Maker, inputs: Arrays) -> dict[str, Picture]:
+    earlier, now = (surface(inputs[f"normal{of}"], inputs[f"stencil{of}"], inputs[f"position{of}"]) for of in ("_previous", ""))
+    color, warped, motion, valid, base_color = (make.put(inputs[n]) for n in ("color", "warped", "motion", "valid", "base_color"))
     return {"reshade": make.reshade(color, warped, motion, valid, (make.put(earlier), make.put(now)), base_color)}
 
 
 def _by_name(method: str, inputs: str, outputs: str) -> Any:
     """A stage whose method takes its inputs as they come; a stack of pictures is a list."""
 
-    def run(make: Maker, given: Arrays) -> dict[str, Picture]:
-        arrays = [given[name] for name in inputs.split()]
-        found = getattr(make, method)(*([make.put(x) for x in a] if a.ndim == 4 else make.put(a) for a in arrays))
-        return dict(zip(outputs.split(), found if isinstance(found, (tuple, list)) else [found], strict=True))
+    def run(make: Maker, planes: Arrays) -> dict[str, Picture]:
+        arrays = [planes[name] for name in inputs.split()]
+        pictures = getattr(make, method)(*([make.put(x) for x in a] if a.ndim == 4 else make.put(a) for a in arrays))
+        return dict(zip(outputs.split(), pictures if isinstance(pictures, (tuple, list)) else [pictures], strict=True))
 
     return run
 
 
-def _decoder(make: Maker, given: Arrays) -> dict[str, Picture]:
-    put = {name: make.put(array) for name, array in given.items()}
+def _decoder(make: Maker, inputs: Arrays) -> dict[str, Picture]:
+    put = {name: make.put(array) for name, array in inputs.items()}
     size = 2 * put["color"].height, 2 * put["color"].width
     return {"image": make.decoder([put["reshaded"], put["feature"]], [put["x1"], put["x2"], put["x3"]], put["color"], size)}
 
 
 STAGES: dict[str, Callable[[Maker, Arrays], dict[str, Picture]]] = {
-    "motion_chain": lambda make, given: {"motion": make.motion_chain([*map(make.put, given["motions"])])[-1]},
+    "motion_chain": lambda make, arrays: {"motion": make.motion_chain([*map(make.put, arrays["motions"])])[-1]},
     "warp": _by_name("warp", "color motion", "warped inside"),
     "holes": _holes,
     "reshade": _reshade,
     "occlusion_warp": _by_name("occlusion_warp", "color warped motion depth valid", "occlusion_motion occlusion_warp"),
-    "rrm": lambda make, given: {"valid": make.rrm(make.put(given["valid"]), given["rectangle"])},
+    "rrm": lambda make, arrays: {"valid": make.rrm(make.put(arrays["valid"]), arrays["rectangle"])},
     "history": _by_name("history", "history", "feature"),
     "encoder": _by_name("encoder", "color gbuffer mask", "x1 x2 x3 x4"),
     "erm": _by_name("erm", "x4 gbuffer mask", "reshaded"),
     "decoder": _decoder,
     "network": _by_name("network", "color gbuffer mask history", "image"),
-    "frame": lambda make, given: {"image": make.frame(given)},
+    "frame": lambda make, arrays: {"image": make.frame(arrays)},
 }
 
 

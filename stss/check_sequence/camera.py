@@ -17,24 +17,24 @@ APART = 1e-2
 
 def camera_lines(sequence: Sequence, number: int) -> list[Line]:
     """Compare the camera of a frame, where it has one, with the one that its positions and depths give."""
-    given = sequence.frames[number].camera
-    if given is None:
+    pose = sequence.frames[number].camera
+    if pose is None:
         return [("note", "camera: from position and depth of each frame")] if sequence.solves_camera else []
     buffers = sequence.load(number, color=False)
     position = buffers.position.astype(np.float64) * sequence.profile.units_per_cm
-    ray = sequence.profile.depth.kind == "ray" and given.to_camera is None
+    ray = sequence.profile.depth.kind == "ray" and pose.to_camera is None
     solved = solve_camera(buffers.depth, position, ray=ray)
     if solved is None or solved.residual > SURE:
         return []
     seen = np.isfinite(buffers.depth) & np.isfinite(position).all(axis=-1)
     away = float(np.median(np.linalg.norm(position[seen] - solved.pose.position, axis=-1)))
-    apart = float(np.linalg.norm(given.position - solved.pose.position)) / away
+    apart = float(np.linalg.norm(pose.position - solved.pose.position)) / away
     if apart <= APART:
         return [("note", f"camera: the one given agrees with position and depth (frame {number})")]
-    shown = ["(" + ", ".join(f"{x:.4g}" for x in place) + ")" for place in (given.position, solved.pose.position)]
+    words = ["(" + ", ".join(f"{x:.4g}" for x in place) + ")" for place in (pose.position, solved.pose.position)]
     return [
         (
             "warning",
-            f"camera: frame {number}: given at {shown[0]}, but position and depth put it at {shown[1]}; leave --camera out",
+            f"camera: frame {number}: given at {words[0]}, but position and depth put it at {words[1]}; leave --camera out",
         )
     ]

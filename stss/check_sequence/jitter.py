@@ -39,18 +39,18 @@ class Jitter:
     @property
     def lines(self) -> list[str]:
         """A sentence for each of the two kinds of shift that changes from pair to pair."""
-        found: list[str] = []
+        lines: list[str] = []
         if size := _changing(self.against_motion):
-            found.append(
+            lines.append(
                 f"jitter: positions are shifted against the motion by up to {size:.2f} pixels, the whole frame alike, and"
                 " differently in each frame: the camera is jittered; switch that off, or take it out (docs/profiles.md, Jitter)"
             )
         if size := _changing(self.in_motion):
-            found.append(
+            lines.append(
                 f"jitter: all static geometry moves alike, by up to {size:.2f} pixels, differently in each frame: the camera is jittered,"
                 " or shakes; a jitter must be switched off, or be taken out (docs/profiles.md, Jitter)"
             )
-        return found
+        return lines
 
 
 def _changing(shifts: tuple[tuple[float, float], ...]) -> float:

@@ -58,10 +58,10 @@ class ConventionVerdict:
 
 def judge_motion(pairs: Iterable[tuple[Buffers, Buffers]]) -> ConventionVerdict:
     """Compare the eight choices over pairs of neighbouring frames (t - 1, t), one pair in memory at a time."""
-    told = [samples for before, now in pairs if len(samples := _differences(before, now)) >= MIN_PIXELS]
-    if not told:
+    parts = [samples for before, now in pairs if len(samples := _differences(before, now)) >= MIN_PIXELS]
+    if not parts:
         return ConventionVerdict(0, 0.0, {})
-    together = np.concatenate(told)
+    together = np.concatenate(parts)
     ratios: dict[str, float] = {}
     for choice, error in zip(CHOICES, together.T, strict=True):
         differ = np.abs(error - together[:, 0]) > VISIBLE

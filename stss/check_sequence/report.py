@@ -166,14 +166,14 @@ def missing_frames(numbers: list[int]) -> list[CheckFinding]:
         return []
     steps = {b - a for a, b in pairwise(numbers)}
     if len(steps) == 1:
-        shown = ", ".join(str(n) for n in numbers[:3])
+        first = ", ".join(str(n) for n in numbers[:3])
         text = (
-            f"frames step by {steps.pop()} ({shown}, ...): the display frames between are not there. Only the colour "
+            f"frames step by {steps.pop()} ({first}, ...): the display frames between are not there. Only the colour "
             "may come at half rate: render G-buffer and motion of every display frame, motion to the one just before"
         )
         return [CheckFinding("error", text)]
-    gone = chain.from_iterable(range(a + 1, b) for a, b in pairwise(numbers))  # lazily: numbers may lie far apart
-    text = f"display frames {_listed(islice(gone, LISTED), count)} are not there: G-buffer and motion of each are needed"
+    missing = chain.from_iterable(range(a + 1, b) for a, b in pairwise(numbers))  # lazily: numbers may lie far apart
+    text = f"display frames {_listed(islice(missing, LISTED), count)} are not there: G-buffer and motion of each are needed"
     return [CheckFinding("error", text)]
 
 
@@ -181,9 +181,11 @@ def missing_buffers(sequence: Sequence, numbers: list[int]) -> list[CheckFinding
     """Buffers that some frames have and others lack; and which frames have a colour."""
     findings: list[CheckFinding] = []
     for buffer in BUFFERS:
-        gone = [n for n in numbers if not sequence.has(n, buffer)]
-        if gone and buffer != "color":
-            text = f"{buffer}: not there in frames {_listed(gone, len(gone))}; every display frame needs it, rendered or not"
+        missing = [n for n in numbers if not sequence.has(n, buffer)]
+        if missing and buffer != "color":
+            text = (
+                f"{buffer}: not there in frames {_listed(missing, len(missing))}; every display frame needs it, rendered or not"
+            )
             findings.append(CheckFinding("error", text))
     rendered = sorted(sequence.rendered.intersection(numbers))
     if rendered == numbers:
@@ -191,8 +193,8 @@ def missing_buffers(sequence: Sequence, numbers: list[int]) -> list[CheckFinding
     elif rendered and rendered == [n for n in numbers if (n - rendered[0]) % 2 == 0 and n >= rendered[0]]:
         findings.append(CheckFinding("note", f"colour: every second frame from {rendered[0]} on"))
     else:
-        shown = _listed(rendered, len(rendered)) if rendered else "none"
-        findings.append(CheckFinding("warning", f"colour: expected every frame or every second one; found frames {shown}"))
+        listing = _listed(rendered, len(rendered)) if rendered else "none"
+        findings.append(CheckFinding("warning", f"colour: expected every frame or every second one; found frames {listing}"))
     return findings
 
 
@@ -215,20 +217,18 @@ def data_windows(sequence: Sequence, numbers: list[int]) -> list[CheckFinding]:
 
 def _every_color(sequence: Sequence, numbers: list[int]) -> CheckFinding:
     """Whether every second frame has a colour of fewer samples: it was rendered for its G-buffer alone, and a run must not show it."""
-    used, others = ({_samples(sequence, n) for n in numbers[start::2]} for start in (0, 1))
-    if used == others or 0 in used | others or not others:
+    own, others = ({_samples(sequence, n) for n in numbers[start::2]} for start in (0, 1))
+    if own == others or 0 in own | others or not others:
         return CheckFinding("note", "colour: in every frame; a half-rate run uses every second one")
-    if max(others) < min(used):
-        few, many = max(others), min(used)
+    if max(others) < min(own):
+        few, many = max(others), min(own)
         text = f"colour: every second frame from {numbers[0]} on; the others are G-buffer frames, of {few} samples for {many}"
         return CheckFinding("note", text)
-    if max(used) < min(others):
-        text = (
-            f"colour: half of the frames are G-buffer frames, of {max(used)} samples for {min(others)}, {numbers[0]} among them"
-        )
+    if max(own) < min(others):
+        text = f"colour: half of the frames are G-buffer frames, of {max(own)} samples for {min(others)}, {numbers[0]} among them"
         return CheckFinding("warning", f"{text}; say --rendered {'odd' if numbers[0] % 2 == 0 else 'even'}")
-    found = ", ".join(map(str, sorted(used | others)))
-    return CheckFinding("warning", f"colour: frames of different numbers of samples ({found}), not every second one")
+    counts = ", ".join(map(str, sorted(own | others)))
+    return CheckFinding("warning", f"colour: frames of different numbers of samples ({counts}), not every second one")
 
 
 def _samples(sequence: Sequence, number: int) -> int:
@@ -284,24 +284,24 @@ def _pixels(
     """Read a few pairs of neighbouring frames and look at their values."""
     usable = [n for n in numbers if all(buffer == "color" or sequence.has(n, buffer) for buffer in BUFFERS)]
     pairs = [(a, b) for a, b in pairwise(usable) if b == a + 1]
-    chosen = pairs[:: max(1, -(-len(pairs) // PAIRS))]
+    sample = pairs[:: max(1, -(-len(pairs) // PAIRS))]
     begin("motion")
-    verdict = judge_motion((sequence.load(a), sequence.load(b)) for a, b in chosen)
+    verdict = judge_motion((sequence.load(a), sequence.load(b)) for a, b in sample)
     tables["reprojection"] = dataclasses.asdict(verdict)
     begin("positions")
-    found = judge_static_geometry((sequence.load(a), sequence.load(b)) for a, b in chosen)
-    tables |= dataclasses.asdict(found)
+    geometry = judge_static_geometry((sequence.load(a), sequence.load(b)) for a, b in sample)
+    tables |= dataclasses.asdict(geometry)
     begin("values")
     values = Values()
-    for number in sorted({n for pair in chosen for n in pair}) or usable[:1]:
+    for number in sorted({n for pair in sample for n in pair}) or usable[:1]:
         values.add(sequence, number)
     tables["values"] = values.table()
     lines = [*motion_lines(verdict, sequence.profile.name), *values.lines(sequence, non_finite)]
-    lines += [*(camera_lines(sequence, usable[0]) if usable else []), *found.lines()]
+    lines += [*(camera_lines(sequence, usable[0]) if usable else []), *geometry.lines()]
     rendered = [n for n in sorted(sequence.rendered) if n in usable]
     begin("colours")
-    shown = rendered[1 :: max(1, len(rendered) // PAIRS)]
-    lines += alignment_lines(map(sequence.load, shown), linear=sequence.profile.color_domain == "linear")
+    colored = rendered[1 :: max(1, len(rendered) // PAIRS)]
+    lines += alignment_lines(map(sequence.load, colored), linear=sequence.profile.color_domain == "linear")
     return [CheckFinding(level, text) for level, text in lines]
 
 

@@ -115,8 +115,8 @@ class StaticVerdict:
         elif self.depth > PROPORTIONAL:
             text = f"depth: {self.depth:.0%} off what is proportional to the distance along the view that positions have"
             lines.append(("warning", f"{text}; expected linear depth, not that of a depth buffer"))
-        stored, turned = self.normals
-        if stored < DISAGREE and turned > AGREE:
+        along, turned = self.normals
+        if along < DISAGREE and turned > AGREE:
             lines.append(
                 (
                     "warning",
@@ -146,11 +146,11 @@ class BackgroundVerdict:
         """Findings."""
         if self.error <= OFF:
             return [("note", f"background: its motion is right to {self.error:.2g} pixels, by the camera that positions show")]
-        found = "0" if self.zero else "not finite" if self.error == np.inf else f"off by {self.error:.2g} pixels"
+        error = "0" if self.zero else "not finite" if self.error == np.inf else f"off by {self.error:.2g} pixels"
         return [
             (
                 "warning",
-                f"background: its motion is {found}, though the camera turns by {self.turns:.2g} pixels a frame: EFs lose up to 5 dB. "
+                f"background: its motion is {error}, though the camera turns by {self.turns:.2g} pixels a frame: EFs lose up to 5 dB. "
                 "Write the motion of what is infinitely far away, which depends on the turn alone, or give --background camera",
             )
         ]
@@ -212,9 +212,9 @@ def judge_static_geometry(pairs: Iterable[tuple[Buffers, Buffers]]) -> StaticGeo
             continue
         relative &= all(_at_origin(*of) for of in ((earlier, before), (current, now)))
         mirrored, here = current.mirrored, np.argwhere(static)[kept, ::-1]
-        stored = [motion[static].astype(np.float64)[kept] for motion in (now.motion, np.nan_to_num(now.motion[::-1]))]
-        samples.append((there[kept] - here, *stored))
-        if (shift := common_shift(there[kept] - here - stored[0])) is not None:
+        motions = [motion[static].astype(np.float64)[kept] for motion in (now.motion, np.nan_to_num(now.motion[::-1]))]
+        samples.append((there[kept] - here, *motions))
+        if (shift := common_shift(there[kept] - here - motions[0])) is not None:
             against.append(shift)
         surfaces = before.stencil, now.stencil, before.normal, now.normal, before.position, now.position
         valid, inside = holes(now.motion, *surfaces, now.nov, now.depth), leads_inside(follow(now.motion))
@@ -237,16 +237,16 @@ def _at_origin(projection: Projection, frame: Buffers) -> bool:
     return bool(np.linalg.norm(camera) < NEAR * np.median(away))
 
 
-def _background(expected: Image, now: Buffers) -> list[tuple[float, float, float, float]]:
+def _background(motion: Image, now: Buffers) -> list[tuple[float, float, float, float]]:
     """Of a frame: its share, the median motion that it should have, the median error and the largest of the one that it has."""
-    missed = ~np.isfinite(now.depth) & np.isfinite(expected).all(axis=-1)
+    missed = ~np.isfinite(now.depth) & np.isfinite(motion).all(axis=-1)
     if missed.sum() < MIN_PIXELS:
         return []
-    stored = np.where(np.isfinite(now.motion), now.motion, np.inf)[missed].astype(np.float64)
+    own = np.where(np.isfinite(now.motion), now.motion, np.inf)[missed].astype(np.float64)
     with np.errstate(invalid="ignore"):
-        errors = np.linalg.norm(stored - expected[missed], axis=-1)
-    turns = float(np.median(np.linalg.norm(expected[missed], axis=-1)))
-    return [(float(missed.mean()), turns, float(np.median(errors)), float(np.abs(stored).max()))]
+        errors = np.linalg.norm(own - motion[missed], axis=-1)
+    turns = float(np.median(np.linalg.norm(motion[missed], axis=-1)))
+    return [(float(missed.mean()), turns, float(np.median(errors)), float(np.abs(own).max()))]
 
 
 def _verdict(
@@ -257,16 +257,16 @@ def _verdict(
     mirrored: bool | None,
     relative: bool,
 ) -> StaticVerdict:
-    true, stored, reversed_rows = (np.concatenate(of) for of in zip(*samples, strict=True))
+    true, motion, reversed_rows = (np.concatenate(of) for of in zip(*samples, strict=True))
     residual, depth, along, turned, share = (float(np.median(of)) for of in zip(*single, strict=True))
-    errors = {what: _error(true, guess) for what, guess in _guesses(stored, reversed_rows, size, mirrored=mirrored).items()}
+    errors = {what: _error(true, guess) for what, guess in _guesses(motion, reversed_rows, size, mirrored=mirrored).items()}
     own, best = errors.pop(""), min(errors, key=lambda what: errors[what])
-    fit = tuple(_line(true[:, k], stored[:, k]) for k in (0, 1))
+    fit = tuple(_line(true[:, k], motion[:, k]) for k in (0, 1))
     half, tells = _half_a_pixel(fit), errors[best] <= min(BETTER * own, max(AGREES, 3 * residual))
     best, tells = half or best, tells or bool(half)
-    relative = relative and _not_linear(stored, true) > max(AGREES, 3 * residual)  # a turn alone moves all as positions do
-    moves, claims = (float(np.median(np.linalg.norm(of, axis=-1))) for of in (true, stored))
-    if not stored.any() and moves > MOVES:
+    relative = relative and _not_linear(motion, true) > max(AGREES, 3 * residual)  # a turn alone moves all as positions do
+    moves, claims = (float(np.median(np.linalg.norm(of, axis=-1))) for of in (true, motion))
+    if not motion.any() and moves > MOVES:
         best, tells = "0, though the camera moves", True
     if moves <= 3 * residual and claims > MOVES:
         best, tells = "right if positions are the camera's: are they in view space, or relative to the camera?", True
@@ -280,7 +280,7 @@ def _is_repeated(before: Buffers, now: Buffers) -> bool:
     return bool(claims > MOVES) and all(same)
 
 
-def _guesses(stored: Array, reversed_rows: Array, size: tuple[int, int], *, mirrored: bool | None) -> dict[str, Array]:
+def _guesses(motion: Array, reversed_rows: Array, size: tuple[int, int], *, mirrored: bool | None) -> dict[str, Array]:
     """Meaning of the stored motion -> the true motion then; "": itself."""
     sides = np.array(size[::-1], np.float64)
     scales = {
@@ -291,8 +291,8 @@ def _guesses(stored: Array, reversed_rows: Array, size: tuple[int, int], *, mirr
         "half too long": 2.0,
     }
     signs = {"": (1, 1), "from the frame before to this one": (-1, -1), "with y up": (1, -1), "with x to the left": (-1, 1)}
-    guesses = {", ".join(filter(None, (a, b))): stored * scale * sign for a, scale in scales.items() for b, sign in signs.items()}
-    guesses["x and y swapped"] = stored[:, ::-1]
+    guesses = {", ".join(filter(None, (a, b))): motion * scale * sign for a, scale in scales.items() for b, sign in signs.items()}
+    guesses["x and y swapped"] = motion[:, ::-1]
     guesses["upside down: its rows alone, from the bottom to the top"] = reversed_rows
     if mirrored:  # or the world is left-handed, but then y is right
         guesses["right if the file is upside down"] = guesses.pop("with y up")
@@ -322,15 +322,15 @@ def _not_linear(of: Array, by: Array) -> float:
     return _error(of, terms @ np.linalg.lstsq(terms, of, rcond=None)[0])
 
 
-def _line(true: Array, stored: Array) -> tuple[float, float]:
+def _line(true: Array, motion: Array) -> tuple[float, float]:
     """Scale and offset of a straight line, without the pixels that fit worst."""
     used = np.ones(len(true), np.bool_)
     scale, offset = 1.0, 0.0
     for _ in range(3):
-        spread = float(stored[used].std())
-        scale = float(np.cov(true[used], stored[used], bias=True)[0, 1]) / spread**2 if spread > 0 else 0.0
-        offset = float(np.mean(true[used] - scale * stored[used]))
-        error = np.abs(true - scale * stored - offset)
+        spread = float(motion[used].std())
+        scale = float(np.cov(true[used], motion[used], bias=True)[0, 1]) / spread**2 if spread > 0 else 0.0
+        offset = float(np.mean(true[used] - scale * motion[used]))
+        error = np.abs(true - scale * motion - offset)
         used = error <= max(3 * float(np.median(error)), 1e-6)
     return scale, offset
 
@@ -353,13 +353,13 @@ def _normals(frame: Buffers) -> tuple[float, float]:
         across, down = (p[1:-1, 2:] - p[1:-1, :-2]), (p[2:, 1:-1] - p[:-2, 1:-1])
         bend = np.abs(p[1:-1, 2:] + p[1:-1, :-2] - 2 * p[1:-1, 1:-1]) + np.abs(p[2:, 1:-1] + p[:-2, 1:-1] - 2 * p[1:-1, 1:-1])
         flat = bend.sum(axis=-1) < FLAT * np.minimum(np.linalg.norm(across, axis=-1), np.linalg.norm(down, axis=-1))
-        made = np.cross(across, down)
-        made /= np.linalg.norm(made, axis=-1, keepdims=True)
-    used = flat & np.isfinite(made).all(axis=-1) & static_surfaces(frame)[1:-1, 1:-1]
+        normals = np.cross(across, down)
+        normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    used = flat & np.isfinite(normals).all(axis=-1) & static_surfaces(frame)[1:-1, 1:-1]
     if not used.any():
         return 1.0, 1.0
-    a, b = frame.normal[1:-1, 1:-1][used].astype(np.float64), made[used]
+    a, b = frame.normal[1:-1, 1:-1][used].astype(np.float64), normals[used]
     u, _, v = np.linalg.svd(a.T @ b)  # the cross product may point away from the camera, but then it does so everywhere
     sign = np.sign(np.median((a * b).sum(axis=-1)))
-    stored, turned = (float(((of * b).sum(axis=-1) > ALONG).mean()) for of in (sign * a, a @ (u @ v)))
-    return stored, turned
+    along, turned = (float(((of * b).sum(axis=-1) > ALONG).mean()) for of in (sign * a, a @ (u @ v)))
+    return along, turned

@@ -54,14 +54,14 @@ class Values:
     def add(self, sequence: Sequence, number: int) -> None:
         """Look at one frame."""
         frame = sequence.frames[number]
-        stored = read_stored(frame, sequence.canvas, sequence.constants)[0]
-        self._count_non_finite(stored, number)
+        planes = read_stored(frame, sequence.canvas, sequence.constants)[0]
+        self._count_non_finite(planes, number)
         buffers = sequence.load(number)
         hit = np.isfinite(buffers.depth)
         count = self._counts
         count["pixels"] += hit.size
         count["hit"] += int(hit.sum())
-        self._add_background(stored["depth"][..., 0], hit)
+        self._add_background(planes["depth"][..., 0], hit)
         length = np.linalg.norm(buffers.normal.astype(np.float64), axis=-1)
         count["not unit"] += int((hit & (np.abs(length - 1) > 0.01)).sum())
         count["negative normals"] += int((buffers.normal < 0).any(axis=-1).sum())
@@ -86,16 +86,16 @@ class Values:
             self._counts["negative colours"] += int((buffers.color < 0).sum())
             self._highest("color", buffers.color)
 
-    def _add_background(self, stored: Array, hit: Mask) -> None:
-        missed = stored[~hit]
+    def _add_background(self, depth: Array, hit: Mask) -> None:
+        missed = depth[~hit]
         with np.errstate(invalid="ignore"):
             self._counts["background 0 or less"] += int((missed <= 0).sum())
             self._counts["background not finite"] += int((~np.isfinite(missed)).sum())
             self._counts["background far"] += int((np.isfinite(missed) & (missed > 0)).sum())
 
-    def _count_non_finite(self, stored: dict[str, Array], number: int) -> None:
+    def _count_non_finite(self, planes: dict[str, Array], number: int) -> None:
         for buffer in BUFFERS:
-            bad = int((~np.isfinite(stored[buffer])).sum()) if buffer in stored else 0
+            bad = int((~np.isfinite(planes[buffer])).sum()) if buffer in planes else 0
             if bad:
                 self._counts[f"non-finite {buffer}"] += bad
                 self._non_finite.setdefault(buffer, f"frame {number}")
@@ -143,8 +143,8 @@ class Values:
             lines.append(("warning", "depth: nothing was hit anywhere; expected linear depths > 0"))
         prefix = "background "
         kinds = [f"{counts[key]} {key.removeprefix(prefix)}" for key in counts if key.startswith(prefix) and counts[key]]
-        shown = f", stored as: {', '.join(kinds)}" if kinds else ""
-        lines.append(("note", f"depth: {1 - self._share('hit', 'pixels'):.1%} background{shown}"))
+        listing = f", stored as: {', '.join(kinds)}" if kinds else ""
+        lines.append(("note", f"depth: {1 - self._share('hit', 'pixels'):.1%} background{listing}"))
         ray = sequence.profile.depth.kind == "ray"
         if ray and not any(f.camera is not None and f.camera.to_camera is not None for f in sequence.frames.values()):
             lines.append(("note", "depth: a ray's length, used as it is; the files have no worldToCamera to make it planar"))
@@ -166,11 +166,11 @@ class Values:
         source = next((f.sources["stencil"] for f in sequence.frames.values() if "stencil" in f.sources), None)
         if source is None:
             return []
-        stored = read_header(source.path).formats[source.names[0]]
-        limit, most = WHOLE_HALF if stored == "half" else WHOLE, self._most.get("stencil", 0)
-        if most < limit or stored == "uint32":  # such a file's numbers are refused where they do not fit
+        kind = read_header(source.path).formats[source.names[0]]
+        limit, most = WHOLE_HALF if kind == "half" else WHOLE, self._most.get("stencil", 0)
+        if most < limit or kind == "uint32":  # such a file's numbers are refused where they do not fit
             return []
-        return [("warning", f"stencil: up to {most:.0f}, stored as {stored}, in which numbers above {limit} run together")]
+        return [("warning", f"stencil: up to {most:.0f}, stored as {kind}, in which numbers above {limit} run together")]
 
     def _stencil_lines(self) -> list[Line]:
         if self._counts["fractional stencils"]:
@@ -196,9 +196,9 @@ class Values:
         if not half and not coarse:
             return []
         level: Level = "warning" if coarse else "note"
-        stored = "half" if half else "single"
+        precision = "half" if half else "single"
         return [
-            (level, f"position: {stored} precision, in steps of {step:.2g} cm; a pixel covers {footprint:.2g} cm of a surface")
+            (level, f"position: {precision} precision, in steps of {step:.2g} cm; a pixel covers {footprint:.2g} cm of a surface")
         ]
 
     def _color_lines(self, sequence: Sequence) -> list[Line]:

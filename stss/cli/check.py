@@ -45,8 +45,8 @@ def check(sequence: Path, profile: str | None, as_json: bool, **options: Any) ->
 @weights_option
 @backend_options
 @click.option("--overwrite", is_flag=True, help="Replace an earlier demo.")
-def demo(out: Path, weights: str, overwrite: bool, **chosen: Any) -> None:
+def demo(out: Path, weights: str, overwrite: bool, **options: Any) -> None:
     """Render a small scene into OUT, supersample it, and compare it with its truth: pictures to look at."""
     from stss import demo as demonstration
 
-    demonstration.demo(out, weights=weights, overwrite=overwrite, console=Terminal(), **chosen)
+    demonstration.demo(out, weights=weights, overwrite=overwrite, console=Terminal(), **options)

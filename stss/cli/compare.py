@@ -57,8 +57,8 @@ def compare_command(
     from stss.quality import comparison_page as pages
     from stss.quality.output_and_truth import find_pairs
 
-    shown = partial(track, console=Terminal(stderr=True))
-    files = None if sequence is None else open_sequence(sequence, **options, non_finite=non_finite, track=shown)
+    bar = partial(track, console=Terminal(stderr=True))
+    files = None if sequence is None else open_sequence(sequence, **options, non_finite=non_finite, track=bar)
     pairs = find_pairs(out, truth, frames, non_finite, holes)[0]
     require_places(
         {"--html": html},
@@ -67,15 +67,15 @@ def compare_command(
         inputs=comparing.files_of(pairs),
     )
     comparison = comparing.compare(
-        out, truth, frames=frames, sequence=files, flip=flip, vmaf=vmaf, non_finite=non_finite, holes=holes, track=shown
+        out, truth, frames=frames, sequence=files, flip=flip, vmaf=vmaf, non_finite=non_finite, holes=holes, track=bar
     )
     if as_json:
         click.echo(comparison.to_json())
     else:
         comparing.print_comparison(comparison, Terminal())
     if html is not None:
-        made = ", ".join(comparison.made_with.get("method", ())) or "another program"
-        version = pages.Version("output", f"Made by {made}: what is compared.", pairs, comparison)
+        methods = ", ".join(comparison.made_with.get("method", ())) or "another program"
+        version = pages.Version("output", f"Made by {methods}: what is compared.", pairs, comparison)
         inputs = None if files is None else pages.RenderedInputs(files, pairs)
-        pages.write_comparison(html, f"{out.name}, compared with the truth in {truth.name}", [version], inputs, track=shown)
+        pages.write_comparison(html, f"{out.name}, compared with the truth in {truth.name}", [version], inputs, track=bar)
         echo(f"page to look at: {html}", err=True)

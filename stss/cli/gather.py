@@ -22,5 +22,5 @@ from stss_ground.terminal import Terminal, echo
 @click.option("--overwrite", is_flag=True, help="Replace what an earlier run wrote.")
 def gather(parts: Path, out: Path, sequence: Path | None, overwrite: bool) -> None:
     """Move the frames of runs with --frames, each in a folder below PARTS, into one folder, as one run would have left it."""
-    shown = partial(track, console=Terminal(stderr=True), unit="parts")
-    echo(f"{out}: frames of {gather_parts(parts, out, sequence, overwrite=overwrite, track=shown)} parts")
+    bar = partial(track, console=Terminal(stderr=True), unit="parts")
+    echo(f"{out}: frames of {gather_parts(parts, out, sequence, overwrite=overwrite, track=bar)} parts")

@@ -62,7 +62,7 @@ def run(
     compute: ComputeOptions,
     suffix: str,
     cluster: str | None,
-    **chosen: Any,
+    **others: Any,
 ) -> None:
     """Make SEQUENCE, a folder or a pattern like a.####.exr, twice as large and twice as fast."""
     console = Terminal(stderr=True)
@@ -77,7 +77,7 @@ def run(
         _tell("camera: from position and depth; --camera CSV takes one")
     if background == "camera":
         _tell("background: its motion is computed from the camera, which positions show; the files' is not used")
-    options = RunOptions.of(frames.profile, format=suffix, **chosen)
+    options = RunOptions.of(frames.profile, format=suffix, **others)
     if suffix == "png":
         _tell_of_png(frames, options)
     reads = [Path(weights)]
@@ -109,10 +109,10 @@ def run(
 def _tell_of_png(sequence: Sequence, options: RunOptions) -> None:
     if others := sequence.carries(options.also):
         _tell(f"png: without {', '.join(others)}; --format exr has them")
-    found = chromaticities(sequence.frames[sequence.numbers[0]].attributes)
-    if not same_primaries(found):
-        shown = ", ".join(f"{x:.4g}" for x in found)
-        _tell(f"png: the colours' primaries are not sRGB's ({shown}), and are not converted: a viewer shows other colours")
+    primaries = chromaticities(sequence.frames[sequence.numbers[0]].attributes)
+    if not same_primaries(primaries):
+        words = ", ".join(f"{x:.4g}" for x in primaries)
+        _tell(f"png: the colours' primaries are not sRGB's ({words}), and are not converted: a viewer shows other colours")
 
 
 def _tell(line: str) -> None:
@@ -120,8 +120,10 @@ def _tell(line: str) -> None:
 
 
 def _speed(summary: Summary, size: tuple[int, int], seconds: float) -> str:
-    done, (height, width) = summary.count("done"), size
-    return f"{done} frames, {2 * width} x {2 * height} from {width} x {height}, in {seconds:.1f} s: {done / seconds:.2f} a second"
+    count, (height, width) = summary.count("done"), size
+    return (
+        f"{count} frames, {2 * width} x {2 * height} from {width} x {height}, in {seconds:.1f} s: {count / seconds:.2f} a second"
+    )
 
 
 def _report(summary: Summary, out: Path, console: Console) -> None:
@@ -131,9 +133,9 @@ def _report(summary: Summary, out: Path, console: Console) -> None:
     for frame in summary.frames:
         if frame.outcome == "left out":
             console.print(printable(f"left out: {text(frame)}"), soft_wrap=True, markup=False, highlight=False)
-    written = ", ".join(f"{summary.count('done', kind)} {kind.value}" for kind in FrameKind)
+    counts = ", ".join(f"{summary.count('done', kind)} {kind.value}" for kind in FrameKind)
     rest = f"{summary.count('kept')} kept, {summary.count('left out')} left out"
-    console.print(printable(f"{out}: {written} written, {rest}"), soft_wrap=True, markup=False, highlight=False)
+    console.print(printable(f"{out}: {counts} written, {rest}"), soft_wrap=True, markup=False, highlight=False)
     peak = max((frame.peak for frame in summary.frames), default=0.0)
     if peak > 1:
         console.print(f"highlights: up to {peak:.3g}; --format png and --transfer none clip at 1", soft_wrap=True)

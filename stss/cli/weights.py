@@ -40,8 +40,8 @@ def import_weights(checkpoint: Path, out: Path) -> None:
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def inspect(file: str, size: tuple[int, int], as_json: bool) -> None:
     """Print the layers of the weights in FILE: shapes, parameters, multiply-adds."""
-    found = inspection.inspect(load(file).weights, *size)
+    inspected = inspection.inspect(load(file).weights, *size)
     if as_json:
-        click.echo(json.dumps(asdict(found)))
+        click.echo(json.dumps(asdict(inspected)))
     else:
-        inspection.print_inspection(found, Terminal())
+        inspection.print_inspection(inspected, Terminal())

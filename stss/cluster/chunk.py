@@ -47,8 +47,8 @@ class Work:
     def part(self, numbers: Iterable[int]) -> Work:
         """The work without the frames that those of ``numbers`` do not depend on."""
         ordered = sorted(numbers)
-        needed = {self.sequence.numbers[0], *range(ordered[0] - WINDOW + 1, ordered[-1] + 1)}
-        return replace(self, sequence=self.sequence.part(needed))
+        needs = {self.sequence.numbers[0], *range(ordered[0] - WINDOW + 1, ordered[-1] + 1)}
+        return replace(self, sequence=self.sequence.part(needs))
 
 
 @dataclass(frozen=True)

@@ -76,19 +76,19 @@ def arithmetic(device: Device, generator: np.random.Generator) -> None:
 
 def vectors(device: Device, generator: np.random.Generator) -> None:
     """Eight values move at once, aligned and not."""
-    given = generator.standard_normal(8 * COUNT + 8).astype(np.float32)
+    numbers = generator.standard_normal(8 * COUNT + 8).astype(np.float32)
     got = np.empty((2, 8 * COUNT), np.float32)
-    _launch(device, "vectors", (COUNT,), None, {"in": given}, {"out": got}, n=COUNT)
-    _exact("float8", got[0], given[:-8].reshape(-1, 8)[:, ::-1].reshape(-1))
-    _exact("vload8", got[1], given[1:-7] + given[:-8])
+    _launch(device, "vectors", (COUNT,), None, {"in": numbers}, {"out": got}, n=COUNT)
+    _exact("float8", got[0], numbers[:-8].reshape(-1, 8)[:, ::-1].reshape(-1))
+    _exact("vload8", got[1], numbers[1:-7] + numbers[:-8])
 
 
 def groups(device: Device, generator: np.random.Generator) -> None:
     """Work-items of a group share local memory and wait for each other."""
-    given = generator.integers(-1000, 1000, (37, GROUP)).astype(np.float32)
+    numbers = generator.integers(-1000, 1000, (37, GROUP)).astype(np.float32)
     got = np.empty(37, np.float32)
-    _launch(device, "reduce_group", (given.size,), (GROUP,), {"in": given}, {"out": got})
-    _exact("local memory and barrier", got, given.sum(axis=1))
+    _launch(device, "reduce_group", (numbers.size,), (GROUP,), {"in": numbers}, {"out": got})
+    _exact("local memory and barrier", got, numbers.sum(axis=1))
 
 
 def turns(device: Device, generator: np.random.Generator) -> None:
@@ -140,24 +140,24 @@ class Shown(NamedTuple):
 
 def frames(device: Device, generator: np.random.Generator, trial: str = REALTIME) -> None:
     """Display frames in sequence against the reference: the programs are those that `stss run` builds."""
-    taken, size = trial_weights(trial), (24, 40)
-    stream, window = Stream(taken, device), list[Shown]()
+    weights, size = trial_weights(trial), (24, 40)
+    stream, window = Stream(weights, device), list[Shown]()
     color, gbuffer, nov, position = (generator.random((*size, *c)).astype(np.float32) for c in ((3,), (9,), (), (3,)))
     for number in range(8):
         kind = number % 2
-        shown, motion, stencil = color.copy(), np.zeros((*size, 2), np.float32), np.zeros(size, np.float32)
+        picture, motion, stencil = color.copy(), np.zeros((*size, 2), np.float32), np.zeros(size, np.float32)
         if number >= 6:  # a tile of the colour is another; then a surface moves, and leaves holes
-            shown[4:8, 8:12] *= 0.5
+            picture[4:8, 8:12] *= 0.5
         if number == 7:
             motion[6:16, 10:30], stencil[8:14, 12:28] = generator.uniform(-9, 9, 2), 1
-        window = [*window[-5:], Shown(None if kind else shown, motion, stencil, gbuffer, nov, position)]
+        window = [*window[-5:], Shown(None if kind else picture, motion, stencil, gbuffer, nov, position)]
         steps = kind, min(number, kind + 2), min(number, kind + 4)
         image, valid = stream(window, steps)
         if number >= 6:
-            inputs = prepare(_inputs(window, steps), "longest", taken.second_color, taken.hole_test, taken.hole_fill)
+            inputs = prepare(_inputs(window, steps), "longest", weights.second_color, weights.hole_test, weights.hole_fill)
             _exact("mask", valid, inputs.mask.astype(bool))
             arrays = inputs.color, inputs.gbuffer, inputs.mask, inputs.history
-            _within("frames", image, reference_network(*(array.astype(np.float64) for array in arrays), weights=taken))
+            _within("frames", image, reference_network(*(array.astype(np.float64) for array in arrays), weights=weights))
         if number == 6 and stream.cost.network != "changed":
             raise MismatchError(f"frames: expected a part of the network to run, found {stream.cost.network}")
 
@@ -165,16 +165,16 @@ def frames(device: Device, generator: np.random.Generator, trial: str = REALTIME
 def _inputs(window: list[Shown], steps: tuple[int, int, int]) -> FrameInputs:
     """The inputs of the last frame as the reference takes them."""
     back = window[::-1]
-    seen = [back[0], *(back[step] for step in steps)]
+    views = [back[0], *(back[step] for step in steps)]
     return FrameInputs(
-        colors=np.stack([frame.color for frame in seen[1:] if frame.color is not None]),
+        colors=np.stack([frame.color for frame in views[1:] if frame.color is not None]),
         steps=steps,
         motions=np.stack([frame.motion for frame in back[: steps[2]]]),
         gbuffer=back[0].gbuffer,
         nov=back[0].nov,
-        stencils=np.stack([frame.stencil for frame in seen]),
-        normals=np.stack([frame.gbuffer[..., :3] for frame in seen]),
-        positions=np.stack([frame.position for frame in seen]),
+        stencils=np.stack([frame.stencil for frame in views]),
+        normals=np.stack([frame.gbuffer[..., :3] for frame in views]),
+        positions=np.stack([frame.position for frame in views]),
     )
 
 

@@ -20,5 +20,5 @@ def trial_weights(trial: str) -> Weights:
 
 def trial_for(weights: Weights) -> str:
     """The first of ``TRIALS`` that needs all layers that ``weights`` need."""
-    needed = find_live(weights).layers.keys()
-    return next(trial for trial in TRIALS if needed <= find_live(trial_weights(trial)).layers.keys())
+    layers = find_live(weights).layers.keys()
+    return next(trial for trial in TRIALS if layers <= find_live(trial_weights(trial)).layers.keys())

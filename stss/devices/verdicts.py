@@ -104,27 +104,27 @@ def verdict(
         command: the command that tests; the names of device and trial are appended.
         tell: called with a line if there is something to wait for.
     """
-    if not again and (stored := find_verdict(name, handle, trial=trial)):
-        return stored
+    if not again and (earlier := find_verdict(name, handle, trial=trial)):
+        return earlier
     limit, path = _limit(), _path(name, handle, trial=trial)
     with _alone(path.with_suffix(".lock"), lambda: tell(f"waiting for another process, which tests {name}")):
-        if not again and (stored := find_verdict(name, handle, trial=trial)):
-            return stored
+        if not again and (earlier := find_verdict(name, handle, trial=trial)):
+            return earlier
         tell(
             f"self-test of {name}" if again else f"first start: building kernels for {name} and testing it, half a minute or more"
         )
         if is_temporary():
             tell("no writable cache folder: kernels are built for this process only; XDG_CACHE_HOME names another folder")
-        found = run_selftest(name, command, limit, trial=trial)
+        new = run_selftest(name, command, limit, trial=trial)
         if again:  # what a later trial ended with is tested anew when it is asked for
             for later in TRIALS[TRIALS.index(trial) + 1 :]:
-                if (old := _stored(name, handle, later)) and not old.passed:
+                if (old := _read_verdict(name, handle, later)) and not old.passed:
                     _path(name, handle, trial=later).unlink(missing_ok=True)
-        if found.lasting:
-            stored = {"device": name, **asdict(found)}
-            del stored["lasting"]
-            store(path, _with_checksum(path, json.dumps(stored).encode()))
-    return found
+        if new.lasting:
+            data = {"device": name, **asdict(new)}
+            del data["lasting"]
+            store(path, _with_checksum(path, json.dumps(data).encode()))
+    return new
 
 
 def find_verdict(name: str, handle: cl.Device, *, trial: str = REALTIME) -> Verdict | None:
@@ -132,25 +132,25 @@ def find_verdict(name: str, handle: cl.Device, *, trial: str = REALTIME) -> Verd
 
     A device that passed a later trial has passed this one: it has these layers, and more.
     """
-    found = _stored(name, handle, trial)
-    later = (_stored(name, handle, more) for more in TRIALS[TRIALS.index(trial) + 1 :])
-    return found or next((each for each in later if each is not None and each.passed), None)
+    own = _read_verdict(name, handle, trial)
+    later = (_read_verdict(name, handle, more) for more in TRIALS[TRIALS.index(trial) + 1 :])
+    return own or next((each for each in later if each is not None and each.passed), None)
 
 
-def _stored(name: str, handle: cl.Device, trial: str) -> Verdict | None:
+def _read_verdict(name: str, handle: cl.Device, trial: str) -> Verdict | None:
     try:
         path = _path(name, handle, trial=trial)
         content = read(path, _MOST_BYTES) or b""
         text = content.partition(b"\n")[2]
         if content != _with_checksum(path, text):
             return None
-        stored: Any = json.loads(text)
-        if stored.pop("device") != name or stored["outcome"] not in _OUTCOMES or not isinstance(stored["why"], str):
+        data: Any = json.loads(text)
+        if data.pop("device") != name or data["outcome"] not in _OUTCOMES or not isinstance(data["why"], str):
             return None
-        numbers = stored["gflops"], stored["seconds"]
+        numbers = data["gflops"], data["seconds"]
         if not all(type(number) in (int, float) and 0 <= number <= sys.float_info.max for number in numbers):
             return None
-        return Verdict(**stored) if len(stored) == 4 else None  # outcome, why, gflops, seconds
+        return Verdict(**data) if len(data) == 4 else None  # outcome, why, gflops, seconds
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
         return None
 
@@ -212,25 +212,25 @@ class _Watch:
         now = time.monotonic()
         if now - self._start > CLOCK * self._limit:
             return f"no answer within {CLOCK * self._limit:g} s"
-        used = _processor_seconds(self._session)
-        if used is None:
+        seconds = _processor_seconds(self._session)
+        if seconds is None:
             return ""
-        if used > self._limit:
+        if seconds > self._limit:
             return f"no answer within {self._limit:g} s of processor time"
-        if abs(used - self._used) > self._idle / 100:  # less: one of them ended
-            self._used, self._active = used, now
+        if abs(seconds - self._used) > self._idle / 100:  # less: one of them ended
+            self._used, self._active = seconds, now
         return f"no answer, and idle for {self._idle:g} s" if now - self._active > self._idle else ""
 
 
 def _processor_seconds(session: int) -> float | None:
     """Processor time of a session's processes and of those that they waited for; seconds. None where the system does not say."""
-    ticks, seen = 0, False
+    ticks, any_process = 0, False
     for path in Path("/proc").glob("[0-9]*/stat"):
         with suppress(OSError):  # it has ended
             fields = path.read_text(errors="replace").rpartition(")")[2].split()
             if int(fields[3]) == session:
-                ticks, seen = ticks + sum(map(int, fields[11:15])), True
-    return ticks / os.sysconf("SC_CLK_TCK") if seen else None
+                ticks, any_process = ticks + sum(map(int, fields[11:15])), True
+    return ticks / os.sysconf("SC_CLK_TCK") if any_process else None
 
 
 @contextmanager
@@ -307,13 +307,13 @@ def _path(name: str, handle: cl.Device, *, trial: str) -> Path:
 def _sources() -> str:
     """Digest of the kernels, of the host code that launches them, and of the reference that they are compared with."""
     digest = hashlib.sha256()
-    for path in _judged():
+    for path in _judged_files():
         text = path.read_bytes()
         digest.update(f"{path.name} {len(text)} ".encode() + text)
     return digest.hexdigest()
 
 
-def _judged() -> list[Path]:
+def _judged_files() -> list[Path]:
     """All kernels and host sources, the reference, the bounds, the self-test and the weights that it takes."""
     host, reference = Path(stss_cl.__file__).parent, Path(stss_ref.__file__).parent
     files = [*program.KERNELS.rglob("*.cl*"), *host.rglob("*.py"), *host.rglob("*.toml"), *reference.rglob("*.py")]

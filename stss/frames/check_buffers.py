@@ -76,10 +76,10 @@ def require_unmasked(where: str, array: object) -> None:
         )
 
 
-def require_distinct(where: str, numbers: Array, stored: Array) -> None:
-    """Raise InputError where ``numbers`` of objects run together in ``stored``, their 32-bit floats."""
+def require_distinct(where: str, numbers: Array, floats: Array) -> None:
+    """Raise InputError where ``numbers`` of objects run together in ``floats``, their 32-bit floats."""
     large = numbers > WHOLE
-    bad = large & (stored.astype(np.float64) != numbers)
+    bad = large & (floats.astype(np.float64) != numbers)
     if bad.any():
         raise _error(
             where, f"whole numbers up to {WHOLE}, beyond which 32-bit floats merge them", numbers, bad, _PLANES["stencil"]
@@ -89,8 +89,8 @@ def require_distinct(where: str, numbers: Array, stored: Array) -> None:
 def _size(buffers: Buffers) -> tuple[int, int]:
     depth = buffers.depth
     if not isinstance(depth, np.ndarray) or depth.ndim != 2 or 0 in depth.shape:  # pyright: ignore[reportUnnecessaryIsInstance]
-        found = getattr(depth, "shape", type(depth).__name__)
-        raise InputError(f"frame {buffers.number}: depth: expected an array (H, W), found {found}")
+        got = getattr(depth, "shape", type(depth).__name__)
+        raise InputError(f"frame {buffers.number}: depth: expected an array (H, W), found {got}")
     return depth.shape[0], depth.shape[1]
 
 

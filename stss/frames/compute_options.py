@@ -33,8 +33,8 @@ class ComputeOptions:
 
     def __post_init__(self) -> None:
         """Refuse a precision or a way to skip that no backend has."""
-        for name, value, known in (("precision", self.precision, PRECISIONS), ("skip", self.skip, SKIPS)):
-            require_choice(name, value, known)
+        for name, value, choices in (("precision", self.precision, PRECISIONS), ("skip", self.skip, SKIPS)):
+            require_choice(name, value, choices)
         if self.device is not None:
             require_kind("device", self.device, str, "part of a device's name, or None")
         if self.memory_limit is not None:

@@ -91,7 +91,7 @@ def frame_inputs(window: Sequence[DisplayFrame], steps: tuple[int, int, int]) ->
     """
     back = window[::-1]
     colors = [back[step].color for step in steps]
-    shown = (back[0], *(back[step] for step in steps))
+    views = (back[0], *(back[step] for step in steps))
 
     def stack(arrays: list[Array]) -> Array:
         return np.stack([_wide(array) for array in arrays]) if arrays else np.empty((0, *back[0].motion.shape), np.float32)
@@ -102,9 +102,9 @@ def frame_inputs(window: Sequence[DisplayFrame], steps: tuple[int, int, int]) ->
         motions=stack([prepared.motion for prepared in back[: max(steps)]]),
         gbuffer=_wide(back[0].gbuffer),
         nov=_wide(back[0].nov),
-        stencils=stack([prepared.stencil for prepared in shown]),
-        normals=stack([prepared.gbuffer[..., :3] for prepared in shown]),
-        positions=stack([prepared.position for prepared in shown]),
+        stencils=stack([prepared.stencil for prepared in views]),
+        normals=stack([prepared.gbuffer[..., :3] for prepared in views]),
+        positions=stack([prepared.position for prepared in views]),
     )
 
 

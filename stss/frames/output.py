@@ -89,10 +89,10 @@ def choose_rendered(
         if len(numbers) < 2 or not has_color.issuperset(numbers):  # pairs at a cut do not make a sequence that holds its truth
             return has_color
         return frozenset(n for n in numbers if (n - shot_start(n, numbers[0], cuts)) % 2 == 0)
-    wanted = frozenset(n for n in numbers if choice == "all" or n % 2 == (choice == "odd"))
-    if missing := sorted(wanted - has_color):
+    chosen_numbers = frozenset(n for n in numbers if choice == "all" or n % 2 == (choice == "odd"))
+    if missing := sorted(chosen_numbers - has_color):
         raise InputError(f"--rendered {choice}: frame {missing[0]} has no colour ({len(missing)} such frames)")
-    return wanted
+    return chosen_numbers
 
 
 def shot_start(number: int, first: int, cuts: Sequence[int]) -> int:

@@ -111,8 +111,8 @@ class Transfer:
 
 def chromaticities(attributes: Mapping[str, Value]) -> tuple[float, ...]:
     """Those that a file's metadata say, or `REC709`."""
-    found = attributes.get("chromaticities")
-    return tuple(map(float, found)) if isinstance(found, tuple) and len(found) == len(REC709) else REC709
+    value = attributes.get("chromaticities")
+    return tuple(map(float, value)) if isinstance(value, tuple) and len(value) == len(REC709) else REC709
 
 
 def same_primaries(a: Iterable[float], b: Iterable[float] = REC709) -> bool:

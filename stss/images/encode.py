@@ -119,9 +119,9 @@ def _encoded(path: Path, suffix: str, spec: oiio.ImageSpec, pixels: Pixels, meta
         output = oiio.ImageOutput.create(f"image{suffix}")
         if output is None:
             raise InputError(f"{path}: cannot be written: {last_error(oiio)}")
-        done = output.open(place, spec) and output.write_image(pixels)
+        ok = output.open(place, spec) and output.write_image(pixels)
         error = last_error(output)
-        if not (output.close() and done):
+        if not (output.close() and ok):
             raise InputError(f"{path}: cannot be written: {error or last_error(output) or 'no reason given'}")
         return Path(place).read_bytes()
 

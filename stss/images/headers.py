@@ -78,10 +78,10 @@ class Header:
 
         Source: OpenEXR, Technical Introduction, "Data Compression", and ``ImfDwaCompressor.cpp``, ``sDefaultChannelRules``.
         """
-        kind, stored = self.compression[name].split(":")[0], self.formats[name]
+        kind, number_format = self.compression[name].split(":")[0], self.formats[name]
         if kind in ("dwaa", "dwab"):
-            return stored != "uint32" and name.rpartition(".")[2] in ("R", "G", "B", "Y", "RY", "BY")
-        return (kind, stored) in (("pxr24", "float"), ("b44", "half"), ("b44a", "half"))
+            return number_format != "uint32" and name.rpartition(".")[2] in ("R", "G", "B", "Y", "RY", "BY")
+        return (kind, number_format) in (("pxr24", "float"), ("b44", "half"), ("b44a", "half"))
 
 
 def read_header(path: Path) -> Header:
@@ -165,9 +165,9 @@ def locate(path: Path, image: oiio.ImageInput) -> tuple[Header, dict[str, tuple[
             formats[full] = _FORMATS.get(kind := str(spec.channelformat(index)), kind)
             windows[full] = data
             compression[full] = spec.get_string_attribute("compression")
-        found = _attributes(spec)
-        views |= dict.fromkeys(_words(found.get("multiView")) or _words(found.get("view")))
-        attributes = found | attributes
+        own = _attributes(spec)
+        views |= dict.fromkeys(_words(own.get("multiView")) or _words(own.get("view")))
+        attributes = own | attributes
         part += 1
         if part > MAX_PARTS or len(places) > MAX_CHANNELS or size > MAX_BYTES:
             limits = f"{MAX_PARTS}, {MAX_CHANNELS} and {MAX_BYTES}"

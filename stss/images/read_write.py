@@ -185,10 +185,10 @@ def encode_mask(path: Path, mask: Mask) -> bytes:
     return encode_png(path, np.where(mask, 255, 0).astype(np.uint8)[..., None], {})
 
 
-def _runs(wanted: set[tuple[int, int, bool]]) -> list[tuple[int, int, int, bool]]:
+def _runs(channels: set[tuple[int, int, bool]]) -> list[tuple[int, int, int, bool]]:
     """Join channels (part, index, integer) into runs (part, first, stop, integer) that are read at once."""
     runs: list[tuple[int, int, int, bool]] = []
-    for part, index, integer in sorted(wanted, key=lambda x: (x[0], x[2], x[1])):
+    for part, index, integer in sorted(channels, key=lambda x: (x[0], x[2], x[1])):
         if runs and runs[-1][0] == part and runs[-1][3] == integer and index - runs[-1][2] <= _GAP:
             runs[-1] = part, runs[-1][1], index + 1, integer
         else:

@@ -66,10 +66,10 @@ def catmull_rom(image: Image, x: Array, y: Array) -> Image:
     columns = [np.clip(x0.astype(np.intp) + i, 0, width - 1) for i in range(-1, 3)]
     rows = [np.clip(y0.astype(np.intp) + i, 0, height - 1) for i in range(-1, 3)]
     across, down = _cubic(x - x0), _cubic(y - y0)
-    read = np.zeros((*x.shape, image.shape[2]), image.dtype)
+    result = np.zeros((*x.shape, image.shape[2]), image.dtype)
     for row, v in zip(rows, down, strict=True):
-        read += v[..., None] * sum(u[..., None] * image[row, column] for column, u in zip(columns, across, strict=True))
-    return read
+        result += v[..., None] * sum(u[..., None] * image[row, column] for column, u in zip(columns, across, strict=True))
+    return result
 
 
 def _cubic(t: Array) -> tuple[Array, Array, Array, Array]:

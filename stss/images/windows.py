@@ -55,9 +55,9 @@ class PixelWindow(NamedTuple):
 
 def union(windows: Iterable[PixelWindow]) -> PixelWindow:
     """The smallest window that holds all of ``windows``, at least one."""
-    found = [*windows]
-    x, y = min(w.x for w in found), min(w.y for w in found)
-    return PixelWindow(x, y, max(w.x + w.width for w in found) - x, max(w.y + w.height for w in found) - y)
+    parts = [*windows]
+    x, y = min(w.x for w in parts), min(w.y for w in parts)
+    return PixelWindow(x, y, max(w.x + w.width for w in parts) - x, max(w.y + w.height for w in parts) - y)
 
 
 def moved(plane: NDArray[Scalar], window: PixelWindow, to: PixelWindow) -> NDArray[Scalar]:

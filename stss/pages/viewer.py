@@ -101,12 +101,12 @@ def write_viewer(
     """
     with ExitStack() as stack:
         store = _Store(path, within, lambda folder: stack.enter_context(folder.open(refusal=None)))
-        shown = [store.keep(frame) for frame in frames]
+        places = [store.keep(frame) for frame in frames]
         data = {
             "views": [view.name for view in viewer.views],
             "left": viewer.pair[0],
             "right": viewer.pair[1],
-            "frames": shown,
+            "frames": places,
             "pictures": store.places,
         }
         body = Template(asset("stss.pages", "viewer.html")).substitute(

@@ -222,7 +222,7 @@ def facts(comparison: Comparison) -> list[str]:
         ),
         *([] if comparison.holes is None else [f"holes are scored over {comparison.holes:.1%} of the pixels"]),
         *([] if comparison.static_holes is None else [f"holes: {comparison.static_holes:.1%} of the static surfaces of EFs"]),
-        *(f"{name}: {', '.join(found)}" for name, found in comparison.made_with.items() if found),
+        *(f"{name}: {', '.join(values)}" for name, values in comparison.made_with.items() if values),
     ]
     if comparison.without_truth:
         lines.append(f"not compared, no truth: {list_numbers(comparison.without_truth)}")
@@ -238,20 +238,20 @@ def _rows(pairs: Mapping[int, Pair], numbers: Iterable[int], sequence: Input | N
     follower = None if sequence is None else Follower(sequence)
     for number in numbers:
         pair = pairs[number]
-        shown = pair.load()
+        images = pair.load()
         if sequence is not None:
-            require_size(pair.output, shown[0], sequence.path, sequence.display.doubled.size)
-        row = _judge(number, pair, shown, flip=flip)
+            require_size(pair.output, images[0], sequence.path, sequence.display.doubled.size)
+        row = _judge(number, pair, images, flip=flip)
         if before is not None and rows[-1].number == number - 1:
-            flicker = None if follower is None else follower.flicker(number, shown, before)
-            row = _with(row, tpsnr=temporal_psnr(shown, before), flicker=flicker)
+            flicker = None if follower is None else follower.flicker(number, images, before)
+            row = _with(row, tpsnr=temporal_psnr(images, before), flicker=flicker)
         rows.append(row)
-        before = shown
+        before = images
     return rows
 
 
-def _judge(number: int, pair: Pair, shown: Shown, *, flip: bool) -> FrameScores:
-    image, truth = shown
+def _judge(number: int, pair: Pair, images: Shown, *, flip: bool) -> FrameScores:
+    image, truth = images
     hole = None
     if pair.holes is not None:
         small = read_rgb(pair.holes)
@@ -303,5 +303,5 @@ def _means(rows: Sequence[FrameScores]) -> list[Mean]:
 
 def cells(scores: Mapping[str, Scores], metrics: Sequence[str]) -> list[str]:
     """Scores as text, in the order of the table's columns: ``metrics``, and for each its regions."""
-    shown = [(getattr(scores[region], name), METRICS[name][1]) for name in metrics for region in METRICS[name][2]]
-    return ["-" if value is None else f"{value:.{digits}f}" for value, digits in shown]
+    values = [(getattr(scores[region], name), METRICS[name][1]) for name in metrics for region in METRICS[name][2]]
+    return ["-" if value is None else f"{value:.{digits}f}" for value, digits in values]

@@ -119,16 +119,16 @@ def write_comparison(
     if inputs is not None:
         views = [Pane(name, MEANINGS[name]) for name in (INPUT, BILINEAR) if name not in names] + views
     views.append(Pane(TRUTH, MEANINGS[TRUTH]))
-    known = [view.name for view in views]
-    pair = (BILINEAR if BILINEAR in known else names[0], best.name)
-    several, shown = len(versions) > 1, [row.number for row in best.comparison.rows]
+    view_names = [view.name for view in views]
+    pair = (BILINEAR if BILINEAR in view_names else names[0], best.name)
+    several, numbers = len(versions) > 1, [row.number for row in best.comparison.rows]
     viewer = Viewer(
         title=title,
         notes=best.comparison.notes,
         views=views,
         pair=pair if pair[0] != pair[1] else (best.name, TRUTH),
         plots=[
-            plot(PLOTTED[metric], lines, digits=METRICS[metric][1], frames=shown)
+            plot(PLOTTED[metric], lines, digits=METRICS[metric][1], frames=numbers)
             for metric in PLOTTED
             if metric in best.comparison.metrics and (lines := _lines(versions, metric))
         ],
@@ -177,7 +177,7 @@ def _frames(versions: Sequence[Version], inputs: RenderedInputs | None, track: T
         low = None if inputs is None else inputs.load(row.number)
         if low is not None:
             pictures |= {INPUT: low, BILINEAR: upsample_centres(low)}
-        said: list[str] = []
+        lines: list[str] = []
         for version in versions:
             # A version called bilinear takes the place of the enlarged input: it is warped to an EF's time.
             pictures[version.name], truth = version.pairs[row.number].load()
@@ -185,6 +185,6 @@ def _frames(versions: Sequence[Version], inputs: RenderedInputs | None, track: T
             scores = next(r.scores["all"] for r in version.comparison.rows if r.number == row.number)
             named = f"{version.name} " if len(versions) > 1 else ""
             ssim = "-" if scores.ssim is None else f"{scores.ssim:.4f}"
-            said.append(f"{named}PSNR {scores.psnr_rgb:.2f} dB, SSIM {ssim}")
+            lines.append(f"{named}PSNR {scores.psnr_rgb:.2f} dB, SSIM {ssim}")
         pictures[TRUTH] = pictures.pop(TRUTH)
-        yield ShownFrame(row.number, row.kind or "", "; ".join(said), pictures)
+        yield ShownFrame(row.number, row.kind or "", "; ".join(lines), pictures)

@@ -26,8 +26,8 @@ Bytes = NDArray[np.uint8]
 
 def require_packages(*, flip: bool, vmaf: bool) -> None:
     """Raise InputError unless the packages of the metrics asked for are installed: before the work, not after it."""
-    for name, wanted in (("flip_evaluator", flip), ("imageio_ffmpeg", vmaf)):
-        if wanted:
+    for name, is_asked in (("flip_evaluator", flip), ("imageio_ffmpeg", vmaf)):
+        if is_asked:
             require(name, EXTRA)
 
 
@@ -51,8 +51,8 @@ def flip_map(image: Image, truth: Image) -> Plane:
     require_shape("truth", truth, image.shape)
     flip = require("flip_evaluator", EXTRA)
     reference, test = (np.ascontiguousarray(np.clip(x, 0, 1), np.float32) for x in (truth, image))
-    found, _, _ = flip.evaluate(reference, test, "LDR", applyMagma=False)
-    return np.asarray(found, np.float64)[..., 0]
+    difference, _, _ = flip.evaluate(reference, test, "LDR", applyMagma=False)
+    return np.asarray(difference, np.float64)[..., 0]
 
 
 def vmaf_scores(frames: Iterable[Iterable[Bytes]]) -> list[float]:
@@ -82,10 +82,10 @@ def vmaf_scores(frames: Iterable[Iterable[Bytes]]) -> list[float]:
         graph = f"[0]{planes}[a];[1]{planes}[b];[a][b]libvmaf=model={MODEL}:log_fmt=json:log_path=log.json"
         inputs = [*source, "-i", "image.rgb", *source, "-i", "truth.rgb"]
         command = [ffmpeg, "-hide_banner", "-loglevel", "error", *inputs, "-lavfi", graph, "-f", "null", "-"]
-        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, errors="replace", check=False)
-        if done.returncode != 0 or not (folder / "log.json").exists():
-            said = done.stderr.strip().splitlines() or ["no reason given"]
-            raise InputError(f"VMAF: FFmpeg failed: {said[-1]}")
+        process = subprocess.run(command, cwd=folder, capture_output=True, text=True, errors="replace", check=False)
+        if process.returncode != 0 or not (folder / "log.json").exists():
+            messages = process.stderr.strip().splitlines() or ["no reason given"]
+            raise InputError(f"VMAF: FFmpeg failed: {messages[-1]}")
         log = json.loads((folder / "log.json").read_text())
     return [float(frame["metrics"]["vmaf"]) for frame in log["frames"]]
 

@@ -205,10 +205,10 @@ def mean_scores(frames: Sequence[Mapping[str, Scores]], *, complete: bool = Fals
     for region in REGIONS:
         values: list[float | None] = []
         for field in fields(Scores):
-            found: list[float | None] = [getattr(scores[region], field.name) for scores in frames]
-            known = [value for value in found if value is not None]
-            usable = bool(known) and not (complete and len(known) < len(found))
-            values.append(sum(known) / len(known) if usable else None)
+            column: list[float | None] = [getattr(scores[region], field.name) for scores in frames]
+            numbers = [value for value in column if value is not None]
+            usable = bool(numbers) and not (complete and len(numbers) < len(column))
+            values.append(sum(numbers) / len(numbers) if usable else None)
         result[region] = Scores(*values)
     return result
 

@@ -100,16 +100,16 @@ def find_pairs(
     if masks is not None:
         pairs = {n: replace(pair, holes=masks.get(n)) for n, pair in pairs.items()}
     if not pairs:
-        found = f"found {list_numbers(truths)}" + (f" within {frames[0]} to {frames[1]}" if frames else "")
-        raise InputError(f"{truth}: expected a frame that {out} has, one of {list_numbers(outputs)}; {found}")
+        there = f"found {list_numbers(truths)}" + (f" within {frames[0]} to {frames[1]}" if frames else "")
+        raise InputError(f"{truth}: expected a frame that {out} has, one of {list_numbers(outputs)}; {there}")
     return pairs, sorted(outputs.keys() - truths.keys()), sorted(truths.keys() - outputs.keys())
 
 
 def require_size(path: Path, image: Image, other: Path, size: tuple[int, ...]) -> None:
     """Raise InputError unless the image of ``path`` has ``size`` (H, W, ...), the size that goes with ``other``."""
     if image.shape[:2] != size:
-        expected, found = (f"{width} x {height}" for height, width in (size, image.shape[:2]))
-        raise InputError(f"{path}: expected {expected} pixels to go with {other}, found {found}")
+        want, got = (f"{width} x {height}" for height, width in (size, image.shape[:2]))
+        raise InputError(f"{path}: expected {want} pixels to go with {other}, found {got}")
 
 
 def list_numbers(numbers: Iterable[int]) -> str:

@@ -167,13 +167,13 @@ class FrameJob:
                 raise
             return FrameReport(number, None, "left out", str(error), fault=True)
 
-    def compute(self, read: _Read | FrameReport) -> _Computed | FrameReport:
+    def compute(self, job: _Read | FrameReport) -> _Computed | FrameReport:
         """Compute it, or report why not; only this step uses ``backend``."""
-        if isinstance(read, FrameReport):
-            return read
-        output = compute(read.window, self.backend)
+        if isinstance(job, FrameReport):
+            return job
+        output = compute(job.window, self.backend)
         if output is None:
-            number = read.window[-1].number
+            number = job.window[-1].number
             # At the start of a shot this is expected; later on it means that an earlier frame could not be read.
             reach = number - shot_start(number, number - WINDOW, self.options.cuts)
             reason = f"frame {number}: no rendered frame just before it to extrapolate from"
@@ -181,9 +181,9 @@ class FrameJob:
                 reason = f"frame {number}: the first of a shot, and not rendered: nothing to make it from"
             fault = schedule(number, self.rendered, reach=reach) is not None
             return FrameReport(number, FrameKind.EF, "left out", reason, fault=fault)
-        newest = read.window[-1]
+        newest = job.window[-1]
         share = static_holes(newest.stencil, newest.gbuffer[..., :3], output.valid) if output.kind is FrameKind.EF else None
-        return _Computed(read.key, output, self.backend.cost, share, read.copied)
+        return _Computed(job.key, output, self.backend.cost, share, job.copied)
 
     def write(self, job: _Computed | FrameReport) -> FrameReport:
         """Take it back through the transfer and write its files."""
@@ -241,11 +241,11 @@ def already_written(folder: OutputFolder, options: RunOptions, number: int, key:
     if not options.resume or not folder.holds(name):
         return None
     try:
-        found = read_header(folder.path / name).attributes
-        kind = FrameKind(found.get("stss:kind"))
+        attributes = read_header(folder.path / name).attributes
+        kind = FrameKind(attributes.get("stss:kind"))
     except (InputError, ValueError):  # somebody edited both the file and the list
         return None
-    if found.get("stss:key") != key:
+    if attributes.get("stss:key") != key:
         return None
     return kind if kind is FrameKind.SF or folder.holds(frame_name(number, "png", HOLES)) else None
 

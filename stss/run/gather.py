@@ -86,22 +86,22 @@ def _parts_in(parts: Path) -> list[Path]:
     Raises:
         InputError: a link leads to something like a part: what is behind it may be somebody's finished run, and would be removed.
     """
-    found: list[Path] = []
+    folders: list[Path] = []
     for path in sorted(parts.iterdir()) if parts.is_dir() else ():
         part = folder_of(path)
         if path.is_dir() and part.present():  # frames without a list too: that is told, and not left out in silence
             for place in part.folders():
                 if place.is_symlink():
                     raise InputError(f"{place}: expected the folder of a part, found a link")
-            found.append(path)
-    return found
+            folders.append(path)
+    return folders
 
 
 def _read_mark(path: Path) -> dict[str, str]:
     """Part and name -> SHA-256, as the mark of a call that was interrupted has them; a line that is damaged is left out."""
     text = read_regular(path, MOST_BYTES).decode(errors="replace") if path.is_file() and not path.is_symlink() else ""
-    found = [match for line in text.split("\n") if (match := _LINE.fullmatch(line)) and match[2] not in (".", "..")]
-    return {f"{match[2]}/{match[3]}": match[1] for match in found}
+    matches = [match for line in text.split("\n") if (match := _LINE.fullmatch(line)) and match[2] not in (".", "..")]
+    return {f"{match[2]}/{match[3]}": match[1] for match in matches}
 
 
 def _is_folder(path: Path) -> bool:

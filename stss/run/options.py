@@ -39,7 +39,7 @@ class RunOptions:
     overwrite: bool = False
 
     @classmethod
-    def of(cls, profile: Profile, *, transfer: str | None, depth: DepthMode | None, **chosen: Any) -> RunOptions:
+    def of(cls, profile: Profile, *, transfer: str | None, depth: DepthMode | None, **others: Any) -> RunOptions:
         """The user's choices; the profile decides on transfer and depth where they are None."""
         usual = "srgb" if profile.color_domain == "linear" else "none"
-        return cls(transfer=transfer or usual, depth=depth or profile.depth_normalisation, **chosen)
+        return cls(transfer=transfer or usual, depth=depth or profile.depth_normalisation, **others)

@@ -63,9 +63,9 @@ def overlap(
 
     def finished(most: int) -> Generator[Written, None, None]:
         while len(writing) > most or (writing and writing[0].done()):
-            written = writing[0].result()  # a failed one stays in the list, so that asking again raises the same error
+            result = writing[0].result()  # a failed one stays in the list, so that asking again raises the same error
             writing.popleft()
-            yield written
+            yield result
 
     try:
         begin_to_read(1)

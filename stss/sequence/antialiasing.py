@@ -56,11 +56,11 @@ def judge_sampling(sequence: Sequence) -> Sampling:
     changed their length tell nothing.
     """
     rendered = sorted(sequence.rendered)
-    chosen = sorted({rendered[i * (len(rendered) - 1) // (LOOKED_AT - 1)] for i in range(LOOKED_AT)}) if rendered else []
+    numbers = sorted({rendered[i * (len(rendered) - 1) // (LOOKED_AT - 1)] for i in range(LOOKED_AT)}) if rendered else []
     linear = sequence.profile.color_domain == "linear"
     hit = mixed = edges = between = 0
     lossy = False
-    for number in chosen:
+    for number in numbers:
         try:
             buffers = sequence.load(number)
         except InputError:
@@ -68,16 +68,16 @@ def judge_sampling(sequence: Sequence) -> Sampling:
         source = sequence.frames[number].sources["normal"]
         lossy |= any(map(read_header(source.path).lossy, source.names))
         # A sky may have a depth, of the far plane or of a dome, but it has no normal to be mixed.
-        seen = np.isfinite(buffers.depth) & np.isfinite(buffers.normal).all(axis=-1) & (buffers.normal != 0).any(axis=-1)
-        length = np.linalg.norm(buffers.normal[seen].astype(np.float64), axis=-1)
+        surface = np.isfinite(buffers.depth) & np.isfinite(buffers.normal).all(axis=-1) & (buffers.normal != 0).any(axis=-1)
+        length = np.linalg.norm(buffers.normal[surface].astype(np.float64), axis=-1)
         hit, mixed = hit + length.size, mixed + int((np.abs(length - 1) > NOT_UNIT).sum())
-        found, of = _colors_between(buffers, linear=linear)
-        edges, between = edges + of, between + found
+        count, of = _colors_between(buffers, linear=linear)
+        edges, between = edges + of, between + count
     if mixed > MIXED_NORMALS * hit and not lossy:
         return Sampling(True, f"{mixed / hit:.1%} of the normals are mixtures, not of unit length")
     if edges < MIN_EDGES:
-        told = "their compression changed the normals" if lossy else "normals are of unit length"
-        return Sampling(False, f"{told}, and only {edges} edges show whether colours are")
+        reason = "their compression changed the normals" if lossy else "normals are of unit length"
+        return Sampling(False, f"{reason}, and only {edges} edges show whether colours are")
     share = f"{between / edges:.0%} of the surfaces' edges have a colour in between"
     return Sampling(between > MIXED_COLORS * edges, share)
 
@@ -100,5 +100,5 @@ def _between(color: Array, normal: Array) -> tuple[int, int]:
     edge = (first < SAME) & (second > STEP) & (third < SAME) & (square > CONTRAST**2)
     shares = [((part - color[:, :-3]) * way).sum(axis=-1)[edge] / square[edge] for part in (color[:, 1:-2], color[:, 2:-1])]
     low, high = BETWEEN
-    found = np.any([(share > low) & (share < high) for share in shares], axis=0)
-    return int(found.sum()), int(edge.sum())
+    has_between = np.any([(share > low) & (share < high) for share in shares], axis=0)
+    return int(has_between.sum()), int(edge.sum())

@@ -30,8 +30,8 @@ def static_surfaces(frame: Buffers) -> Mask:
 
 def projection_of(frame: Buffers) -> Projection | None:
     """The camera's projection, by the positions of what stands still; None where they do not determine it in all directions."""
-    found = solve_projection(frame.position, static_surfaces(frame))
-    return None if found is None or found.residual > LOOSE or len(found.axes) < 3 else found
+    projection = solve_projection(frame.position, static_surfaces(frame))
+    return None if projection is None or projection.residual > LOOSE or len(projection.axes) < 3 else projection
 
 
 def background_motion(before: Projection, now: Projection, size: tuple[int, int]) -> Image:
@@ -52,8 +52,8 @@ def background_motion(before: Projection, now: Projection, size: tuple[int, int]
     """
     y, x = np.mgrid[: size[0], : size[1]].astype(np.float64)
     here = np.stack([x, y], axis=-1)
-    seen = (here.reshape(-1, 2) - now.middle) / now.half
-    direction = np.linalg.solve(now.far, np.concatenate([seen, np.ones((len(seen), 1))], axis=1).T)
+    screen = (here.reshape(-1, 2) - now.middle) / now.half
+    direction = np.linalg.solve(now.far, np.concatenate([screen, np.ones((len(screen), 1))], axis=1).T)
     u, v, w = before.far @ direction
     with np.errstate(divide="ignore", invalid="ignore"):
         there = np.stack([u / w, v / w], axis=-1) * before.half + before.middle

@@ -64,9 +64,9 @@ def _in_layer(header: Header, profile: Profile, buffers: Collection[str], layer:
 
 def missing_buffer(profile: Profile, buffer: str, where: object, there: Collection[str]) -> InputError:
     """The error for a buffer that no file has: the names expected, the channels found (``there``), what to do."""
-    wanted = " or ".join(", ".join(names) for names in profile.channels[buffer]) or "a constant"
+    names_wanted = " or ".join(", ".join(names) for names in profile.channels[buffer]) or "a constant"
     ending = profile.file_of(buffer)
     file = f" in a file NAME{ending}.NNNN.exr" if ending else ""
     hint = f"; {profile.hints[buffer]}" if buffer in profile.hints else ""
-    found = ", ".join(there) or "nothing"
-    return InputError(f"{where}: no {buffer}: profile {profile.name} expects {wanted}{file}; found {found}{hint}")
+    channels = ", ".join(there) or "nothing"
+    return InputError(f"{where}: no {buffer}: profile {profile.name} expects {names_wanted}{file}; found {channels}{hint}")

@@ -51,7 +51,7 @@ def convert(
     if "depth" not in planes:
         raise InputError(f"frame {number}: no depth; expected an array (H, W)")
     shape = np.shape(planes["depth"])[:2]
-    stored: dict[str, Array] = {}
+    buffers: dict[str, Array] = {}
     for name, channels in BUFFERS.items():
         if name not in planes:
             if name == "color" or (name == "nov" and where is not None):
@@ -73,9 +73,9 @@ def convert(
         plane = plane[..., None] if plane.ndim == 2 else plane
         if plane.shape != (*shape, channels):
             raise InputError(f"frame {number}: {name}: expected shape {(*shape, channels)}, found {np.shape(planes[name])}")
-        stored[name] = plane
-    depth = to_specification(stored, table, where)
-    single = {name: stored[name][..., 0] for name in ("stencil", "nov", "roughness", "metallic")}
+        buffers[name] = plane
+    depth = to_specification(buffers, table, where)
+    single = {name: buffers[name][..., 0] for name in ("stencil", "nov", "roughness", "metallic")}
     others: dict[str, Array] = {}
     for name, plane in planes.items():
         if name not in BUFFERS:
@@ -83,8 +83,8 @@ def convert(
             if (original := np.asarray(plane)).dtype.kind not in "fiub":
                 raise InputError(f"frame {number}: {name}: expected numbers, found {original.dtype}")
             others[name] = original.astype(np.float32)
-    several = {name: stored[name] for name in ("motion", "normal", "position", "base_color")}
-    return Buffers(number, stored.get("color"), depth=depth, **single, **several, cut=cut, carried=others)
+    several = {name: buffers[name] for name in ("motion", "normal", "position", "base_color")}
+    return Buffers(number, buffers.get("color"), depth=depth, **single, **several, cut=cut, carried=others)
 
 
 def _pose(value: Array) -> CameraPose:
@@ -104,7 +104,7 @@ def _pose(value: Array) -> CameraPose:
 
 
 def to_specification(
-    stored: dict[str, Array],
+    buffers: dict[str, Array],
     profile: Profile,
     camera: CameraPose | None,
     *,
@@ -116,38 +116,38 @@ def to_specification(
     ``display``: (H, W) of the frame without its overscan, the side of which a motion may be a share of; None: of the buffers.
     ``outside``: (H, W) pixels that are in no data window: nothing was hit there, and nothing moves.
     """
-    depth = linear_depth(stored["depth"][..., 0], profile.depth)
-    normal, missed = world_normal(stored["normal"], profile.normal)
+    depth = linear_depth(buffers["depth"][..., 0], profile.depth)
+    normal, missed = world_normal(buffers["normal"], profile.normal)
     missed |= ~np.isfinite(depth) if outside is None else ~np.isfinite(depth) | outside
-    position = np.where(np.isfinite(stored["position"]).all(axis=-1, keepdims=True), stored["position"], np.nan)
+    position = np.where(np.isfinite(buffers["position"]).all(axis=-1, keepdims=True), buffers["position"], np.nan)
     if profile.depth.kind == "ray":
         depth = ray_to_planar(depth, position, camera)
-    if "nov" not in stored:
+    if "nov" not in buffers:
         assert camera is not None
-        stored["nov"] = normal_dot_view(normal, position, camera.position)[..., None]
-    motion = motion_in_pixels(stored["motion"], profile.motion, display)
-    stored["motion"] = motion if outside is None else np.where(outside[..., None], np.float32(0), motion)
-    stored["normal"] = normal
-    stored["position"] = (position / profile.units_per_cm).astype(np.float32)
+        buffers["nov"] = normal_dot_view(normal, position, camera.position)[..., None]
+    motion = motion_in_pixels(buffers["motion"], profile.motion, display)
+    buffers["motion"] = motion if outside is None else np.where(outside[..., None], np.float32(0), motion)
+    buffers["normal"] = normal
+    buffers["position"] = (position / profile.units_per_cm).astype(np.float32)
     for buffer in ("normal", "nov", "position", "stencil", "base_color", "roughness", "metallic"):
         background = BACKGROUND_POSITION if buffer == "position" else 0
-        stored[buffer] = np.where(missed[..., None], np.float32(background), stored[buffer])
+        buffers[buffer] = np.where(missed[..., None], np.float32(background), buffers[buffer])
     return np.where(missed, np.float32(np.inf), depth)
 
 
-def motion_in_pixels(stored: Image, rule: MotionRule, display: tuple[int, int] | None = None) -> Image:
+def motion_in_pixels(motion: Image, rule: MotionRule, display: tuple[int, int] | None = None) -> Image:
     """Stored motion as (H, W, 2) float32; pixels, current -> previous, x right, y down. Non-finite values stay so."""
-    height, width = display or stored.shape[:2]
+    height, width = display or motion.shape[:2]
     unit = {"pixels": (1.0, 1.0), "uv": (width, height), "ndc": (width / 2, height / 2)}[rule.unit]
     sign = 1.0 if rule.direction == "to_previous" else -1.0
     factor = np.array(rule.scale) * unit * (sign, sign if rule.y == "down" else -sign)
     with np.errstate(invalid="ignore", over="ignore"):
-        return ((stored - np.array(rule.bias)) * factor + 0.0).astype(np.float32)  # + 0.0: no negative zeros
+        return ((motion - np.array(rule.bias)) * factor + 0.0).astype(np.float32)  # + 0.0: no negative zeros
 
 
-def linear_depth(stored: Plane, rule: DepthRule) -> Plane:
+def linear_depth(depth: Plane, rule: DepthRule) -> Plane:
     """Stored depth as linear depth (H, W) float32, infinite where nothing was hit; a ray's length stays one, see `ray_to_planar`."""
-    d = stored.astype(np.float64)
+    d = depth.astype(np.float64)
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         if rule.kind == "device":
             d = np.clip(d, 0, 1)
@@ -172,13 +172,13 @@ def ray_to_planar(depth: Plane, position: Image, camera: CameraPose | None) -> P
     return np.where(usable, z, depth).astype(np.float32)
 
 
-def world_normal(stored: Image, rule: NormalRule) -> tuple[Image, Mask]:
+def world_normal(normal: Image, rule: NormalRule) -> tuple[Image, Mask]:
     """The stored normal as (H, W, 3) float32, and (H, W) True where its value means that nothing was hit."""
-    missed = np.zeros(stored.shape[:2], dtype=np.bool_)
+    missed = np.zeros(normal.shape[:2], dtype=np.bool_)
     if rule.background is not None:
-        missed = (stored == np.array(rule.background, dtype=np.float32)).all(axis=-1)
+        missed = (normal == np.array(rule.background, dtype=np.float32)).all(axis=-1)
     with np.errstate(invalid="ignore", over="ignore"):
-        return ((stored - rule.bias) * rule.scale).astype(np.float32), missed
+        return ((normal - rule.bias) * rule.scale).astype(np.float32), missed
 
 
 def normal_dot_view(normal: Image, position: Image, camera: Array) -> Plane:

@@ -55,13 +55,13 @@ def numbered_files(paths: Iterable[Path]) -> list[NumberedFile]:
     """
     matches = [(path, match[1], match[2], match[3]) for path in paths if (match := _STEM.fullmatch(path.stem))]
     unseparated = {before for _, before, _, _ in matches}
-    found: list[NumberedFile] = []
+    files: list[NumberedFile] = []
     for path, before, digits, after in matches:
         rest = before.removesuffix("-")
         negative = rest != before and (rest.endswith(tuple(_SEPARATORS)) or rest in unseparated | {""})
         number = frame_number(path, digits)
-        found.append(NumberedFile(path, rest if negative else before, -number if negative else number, digits, after))
-    return found
+        files.append(NumberedFile(path, rest if negative else before, -number if negative else number, digits, after))
+    return files
 
 
 def find_frames(path: Path, endings: Collection[str]) -> Frames:
@@ -83,8 +83,8 @@ def find_frames(path: Path, endings: Collection[str]) -> Frames:
     files = numbered_files(f for f in _files(path, folder) if f.suffix.lower() == ".exr" and not f.name.startswith("."))
     parts = [(_name(file.before, file.after, endings), file) for file in files]
     if pattern is not None:
-        wanted = (_name(pattern[1], pattern[2], endings) or (pattern[1].rstrip(_SEPARATORS) + pattern[2], ""))[0]
-        fitting = [(name, file) for name, file in parts if name is not None and name[0] == wanted]
+        own_name = (_name(pattern[1], pattern[2], endings) or (pattern[1].rstrip(_SEPARATORS) + pattern[2], ""))[0]
+        fitting = [(name, file) for name, file in parts if name is not None and name[0] == own_name]
         parts = [(name, file) for name, file in fitting if _gap(file.before) == _gap(pattern[1])] or fitting
     by_prefix: dict[str, Frames] = defaultdict(dict)
     for name, file in parts:

@@ -168,8 +168,8 @@ def load_profile(name_or_path: str | Path, **changes: Any) -> Profile:
 
 
 def _changed(old: dict[str, Any], change: dict[str, Any]) -> dict[str, Any]:
-    known = _DEPTH_KEYS.get(str(change.get("kind")), old)
-    return {**{key: value for key, value in old.items() if key in known}, **change}
+    keys = _DEPTH_KEYS.get(str(change.get("kind")), old)
+    return {**{key: value for key, value in old.items() if key in keys}, **change}
 
 
 def _profile(path: Path, top: Table) -> Profile:

@@ -82,17 +82,17 @@ def solve_projection(position: Image, seen: Mask) -> Projection | None:
     origin = np.median(p, axis=0)
     squares, directions = np.linalg.eigh(np.cov((p - origin).T))
     extent = np.sqrt(np.maximum(squares, 0))
-    kept = extent > FLAT * extent[-1]
-    if kept.sum() < 2:
+    wide = extent > FLAT * extent[-1]
+    if wide.sum() < 2:
         return None
-    axes = (directions[:, kept] / extent[kept]).T
+    axes = (directions[:, wide] / extent[wide]).T
     height, width = seen.shape
     middle, half = np.array([width - 1, height - 1]) / 2, width / 2
     pixels = np.stack([x, y], axis=-1)
     u, v = ((pixels - middle) / half).T
     q = _homogeneous(axes, p - origin)
     weight, used = np.ones(len(u)), np.ones(len(u), np.bool_)
-    found = None
+    projection = None
     for _ in range(ROUNDS):
         a, zero = q * weight * used, np.zeros_like(q)
         rows = np.concatenate([np.concatenate([a, zero, -u * a]), np.concatenate([zero, a, -v * a])], axis=1)
@@ -100,15 +100,15 @@ def solve_projection(position: Image, seen: Mask) -> Projection | None:
         w = matrix[2] @ q
         if np.median(w) < 0:
             matrix, w = -matrix, -w
-        found = Projection(matrix, axes, origin, middle, half, 0.0)
-        error = np.where(w > 0, np.linalg.norm(found.project(p)[0] - pixels, axis=-1), np.inf)
+        projection = Projection(matrix, axes, origin, middle, half, 0.0)
+        error = np.where(w > 0, np.linalg.norm(projection.project(p)[0] - pixels, axis=-1), np.inf)
         typical = float(np.median(error))
         if not np.isfinite(typical):
             return None
-        found = Projection(matrix, axes, origin, middle, half, typical)
+        projection = Projection(matrix, axes, origin, middle, half, typical)
         used = error <= max(3 * typical, 1e-9)
         weight = 1 / np.maximum(w, 1e-3 * float(np.median(w)))  # then the residual is in pixels
-    return found
+    return projection
 
 
 def _homogeneous(axes: Array, offset: Array) -> Array:

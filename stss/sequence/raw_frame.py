@@ -74,22 +74,22 @@ def read_stored(
         Name -> (H, W, channels) float32 of both, 0 where a part has no pixels; without the colour where ``color`` is False.
     """
     buffers = {buffer: source for buffer, source in frame.sources.items() if color or buffer != "color"}
-    wanted = [*buffers.values(), *also.values()]
+    sources = [*buffers.values(), *also.values()]
     planes = {
-        path: read_channels(path, sorted({name for s in wanted if s.path == path for name in s.names}), canvas)
-        for path in {source.path for source in wanted}
+        path: read_channels(path, sorted({name for s in sources if s.path == path for name in s.names}), canvas)
+        for path in {source.path for source in sources}
     }
-    stored, carried = (
+    arrays, carried = (
         {name: np.stack([planes[s.path][channel] for channel in s.names], axis=-1) for name, s in of.items()}
         for of in (buffers, also)
     )
     for buffer, value in constants.items():
-        if buffer not in stored:
-            stored[buffer] = np.full((*canvas.size, 1), value, dtype=np.float32)
-    return stored, carried
+        if buffer not in arrays:
+            arrays[buffer] = np.full((*canvas.size, 1), value, dtype=np.float32)
+    return arrays, carried
 
 
-def settle_non_finite(stored: dict[str, Array], sources: Mapping[str, Source], policy: NonFinite) -> None:
+def settle_non_finite(buffers: dict[str, Array], sources: Mapping[str, Source], policy: NonFinite) -> None:
     """Refuse values that are not finite where they must be, or replace them by 0, in place.
 
     A pixel whose colour is masked gets a position of NaN, so that later frames see a hole there.
@@ -97,11 +97,11 @@ def settle_non_finite(stored: dict[str, Array], sources: Mapping[str, Source], p
     Raises:
         InputError: the policy is "refuse", and there is such a value.
     """
-    color = stored.get("color")
+    color = buffers.get("color")
     hole = None if color is None else ~np.isfinite(color).all(axis=-1, keepdims=True)
-    settle_all_finite({buffer: stored[buffer] for buffer in FINITE if buffer in stored}, sources, policy, into=stored)
+    settle_all_finite({buffer: buffers[buffer] for buffer in FINITE if buffer in buffers}, sources, policy, into=buffers)
     if hole is not None and hole.any():
-        stored["position"] = np.where(hole, np.float32(np.nan), stored["position"])
+        buffers["position"] = np.where(hole, np.float32(np.nan), buffers["position"])
 
 
 def settle_all_finite(

@@ -175,28 +175,28 @@ class Sequence:
                 there = sorted({name for path in frame.files for name in read_header(path).channels})
                 raise missing_buffer(self.profile, buffer, self._where(number), there)
         others = self._carried(number, also) if color and "color" in frame.sources else {}
-        stored, carried = read_stored(frame, self.canvas, self.constants, others, color=color)
+        arrays, carried = read_stored(frame, self.canvas, self.constants, others, color=color)
         outside = self._outside(frame)
         if outside is not None:
-            stored["depth"] = np.where(outside[..., None], np.float32(np.nan), stored["depth"])
-        camera = frame.camera if "nov" in stored or frame.camera is not None else self._solve(number, stored)
-        depth = to_specification(stored, self.profile, camera, display=self.display.size, outside=outside)
-        settle_non_finite(stored, frame.sources, self._non_finite)
+            arrays["depth"] = np.where(outside[..., None], np.float32(np.nan), arrays["depth"])
+        camera = frame.camera if "nov" in arrays or frame.camera is not None else self._solve(number, arrays)
+        depth = to_specification(arrays, self.profile, camera, display=self.display.size, outside=outside)
+        settle_non_finite(arrays, frame.sources, self._non_finite)
         settle_all_finite(carried, others, self._non_finite, into=carried)
         for buffer in UNIT_RANGE:
-            stored[buffer] = np.clip(stored[buffer], 0, 1)
+            arrays[buffer] = np.clip(arrays[buffer], 0, 1)
         return Buffers(
             number=number,
-            color=stored.get("color"),
-            motion=stored["motion"],
-            normal=stored["normal"],
+            color=arrays.get("color"),
+            motion=arrays["motion"],
+            normal=arrays["normal"],
             depth=depth,
-            position=stored["position"],
-            stencil=stored["stencil"][..., 0],
-            nov=stored["nov"][..., 0],
-            base_color=stored["base_color"],
-            roughness=stored["roughness"][..., 0],
-            metallic=stored["metallic"][..., 0],
+            position=arrays["position"],
+            stencil=arrays["stencil"][..., 0],
+            nov=arrays["nov"][..., 0],
+            base_color=arrays["base_color"],
+            roughness=arrays["roughness"][..., 0],
+            metallic=arrays["metallic"][..., 0],
             carried=carried,
         )
 
@@ -234,9 +234,9 @@ class Sequence:
             return None
         return ~np.logical_and.reduce([window.mask(self.canvas) for window in windows])
 
-    def _solve(self, number: int, stored: dict[str, Array]) -> CameraPose:
+    def _solve(self, number: int, arrays: dict[str, Array]) -> CameraPose:
         rule = self.profile.depth
-        solved = solve_camera(linear_depth(stored["depth"][..., 0], rule), stored["position"], ray=rule.kind == "ray")
+        solved = solve_camera(linear_depth(arrays["depth"][..., 0], rule), arrays["position"], ray=rule.kind == "ray")
         if solved is None or solved.residual > MAX_RESIDUAL:
             reason = "too few surfaces" if solved is None else f"they differ by {solved.residual:.1g} of the distance"
             raise InputError(
@@ -254,16 +254,16 @@ class Sequence:
         planes = {"A": Source(color.path, (alpha,))} if color.names[0].endswith("R") and alpha in there[color.path] else {}
         own = {letter: Source(color.path, (full,)) for letter, full in zip("RGB", color.names, strict=True)}
         for name in also:
-            chosen = [
+            sources = [
                 Source(path, (full,))
                 for path, names in there.items()
                 for full in names
                 if full == name or full.startswith(name + ".")
             ]
-            if not chosen:
+            if not sources:
                 names = sorted({full for names in there.values() for full in names})
                 raise InputError(f"{self._where(number)}: no layer or channel {name}; found {', '.join(names)}")
-            for source in chosen:
+            for source in sources:
                 full = source.names[0]
                 other = (own | planes).get(full, source)
                 if other != source:
@@ -276,11 +276,11 @@ class Sequence:
 
     def require(self, numbers: Iterable[int]) -> None:
         """Raise InputError where one of these display frames has no file."""
-        lost = [n for n in numbers if n not in self.frames]
-        if lost:
-            others = f" and {len(lost) - 1} more" if len(lost) > 1 else ""
+        missing = [n for n in numbers if n not in self.frames]
+        if missing:
+            others = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
             raise InputError(
-                f"{self.path}: frame {lost[0]}{others}: not there; STSS needs the G-buffer and motion of every display frame, "
+                f"{self.path}: frame {missing[0]}{others}: not there; STSS needs the G-buffer and motion of every display frame, "
                 "rendered or not"
             )
 
@@ -322,8 +322,11 @@ def open_sequence(
     """
     path = path_of("sequence", path)
     camera = None if camera is None else path_of("camera", camera)
-    for name, value, known in (("non_finite", non_finite, get_args(NonFinite)), ("background", background, get_args(Background))):
-        require_choice(name, value, known)
+    for name, value, choices in (
+        ("non_finite", non_finite, get_args(NonFinite)),
+        ("background", background, get_args(Background)),
+    ):
+        require_choice(name, value, choices)
     table = settle_profile(path, profile)
     cameras = None if camera is None else read_cameras(camera)
     constants = dict(table.constants)

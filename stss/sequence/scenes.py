@@ -38,8 +38,8 @@ def display_frames(scene: Scene, size: tuple[int, int], count: int) -> Iterator[
     """The first ``count`` display frames at (height, width), new arrays each; the even ones are rendered."""
     curve = transfer(TRANSFER)
     for number in range(count):
-        seen = render(scene, number, *size)
-        planes: dict[str, Any] = {n: getattr(seen, n).astype(np.float32) for n in seen.__dataclass_fields__}
+        view = render(scene, number, *size)
+        planes: dict[str, Any] = {n: getattr(view, n).astype(np.float32) for n in view.__dataclass_fields__}
         missed = np.isinf(planes["depth"])[..., None]
         planes["position"] = np.where(missed, np.float32(BACKGROUND_POSITION), planes["position"])
         color = planes.pop("color") if number % 2 == 0 else None

@@ -107,8 +107,8 @@ def _weights(files: dict[str, bytes]) -> Weights:
         raise WeightsError(f"data.pkl: expected a dictionary of tensors, got {type(described).__name__}")
     names = [str(name) for name in described]
     if not set(names) & set(TENSORS):
-        found = ", ".join(_short(name) for name in names[:5]) + (", ..." if len(names) > 5 else "")
-        raise WeightsError(f"no tensor of this network in it; its keys: {found or 'none'}")
+        keys = ", ".join(_short(name) for name in names[:5]) + (", ..." if len(names) > 5 else "")
+        raise WeightsError(f"no tensor of this network in it; its keys: {keys or 'none'}")
     require_names(names)
     order = files.get("byteorder", b"little")  # before PyTorch 2.1 there is none
     if order not in {b"little", b"big"}:

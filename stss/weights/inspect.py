@@ -59,15 +59,15 @@ def inspect(weights: Weights, height: int, width: int) -> Inspection:
     """Inspect ``weights`` and count the network's cost for frames of (height, width); InputError below 1 x 1."""
     if height < 1 or width < 1:
         raise InputError(f"size {width}x{height}: expected at least 1x1")
-    needed = find_live(drop_tiny(weights))
+    live = find_live(drop_tiny(weights))
     tiny = np.concatenate([np.abs(tensor[is_tiny(tensor)]) for tensor in weights.values()])
-    runs = {name: layer.outputs for name, layer in needed.layers.items()}
+    runs = {name: layer.outputs for name, layer in live.layers.items()}
     rows = tuple(
         LayerRow(
             layer,
             layer.multiply_adds(height, width),
             max(float(np.abs(weights[name]).max()) for name, _ in layer.tensors()),
-            "never" if layer.name not in runs else "once" if layer.name in needed.once else "frame",
+            "never" if layer.name not in runs else "once" if layer.name in live.once else "frame",
             runs.get(layer.name, 0),
         )
         for layer in LAYERS
