@@ -34,8 +34,8 @@ def run(row: str, shards: list[Shard], settings: Settings, steps: int, most: int
     state, keep = start(settings, device), float(row != "gbuffer")
     if row == "erm":
         state.network.attend = without_attention
-    drawn = Batches(shards, side=48, batch=6, seed=settings.seed, kinds=kinds, masking=row != "masking", how=settings.augment)
-    for step, batch in drawn.between(0, steps):
+    batches = Batches(shards, side=48, batch=6, seed=settings.seed, kinds=kinds, masking=row != "masking", how=settings.augment)
+    for step, batch in batches.between(0, steps):
         color, gbuffer, *others = tensors(batch, device)
         aims = Aims(young=infancy(step, steps))
         advance(state, (color, gbuffer * keep, *others), rate_at(step, steps, settings), aims)
@@ -52,16 +52,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--steps", type=int, default=1200)
     parser.add_argument("--augment", choices=AUGMENTS, default="all", help="what of a crop is changed; none: for one scene")
     parser.add_argument("--most", type=int, default=24, help="validation frames of each kind")
-    chosen = parser.parse_args(arguments)
-    shards = load_shards(chosen.data)
+    options = parser.parse_args(arguments)
+    shards = load_shards(options.data)
     torch.set_flush_denormal(True)  # see training.train
-    for row in chosen.rows:
-        made = (
-            Settings(48, 6, 0.01, 100, seed, False, history=row != "history", augment=chosen.augment) for seed in chosen.seeds
+    for row in options.rows:
+        settings_of_seeds = (
+            Settings(48, 6, 0.01, 100, seed, False, history=row != "history", augment=options.augment) for seed in options.seeds
         )
-        found = [run(row, shards, settings, chosen.steps, chosen.most) for settings in made]
+        scores = [run(row, shards, settings, options.steps, options.most) for settings in settings_of_seeds]
         for name in (name for name in (*KINDS, "EF holes") if name.split()[0] != row):
-            values = [means[name] for means in found]
+            values = [means[name] for means in scores]
             sys.stdout.write(f"without {row}, {name}: {statistics.mean(values):.2f} ({max(values) - min(values):.2f})\n")
         sys.stdout.flush()
 

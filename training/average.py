@@ -23,21 +23,21 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(prog="python -m training.average", description=__doc__)
     parser.add_argument("weights", nargs="+", help="safetensors files")
     parser.add_argument("-o", "--out", type=Path, required=True)
-    chosen = parser.parse_args(arguments)
-    require_places({"--out": chosen.out}, map(Path, chosen.weights))
-    loaded = [load(name) for name in chosen.weights]
-    for what, found in (
+    options = parser.parse_args(arguments)
+    require_places({"--out": options.out}, map(Path, options.weights))
+    loaded = [load(name) for name in options.weights]
+    for what, choices in (
         ("second colour", {each.weights.second_color for each in loaded}),
         ("hole fill", {each.weights.hole_fill for each in loaded}),
     ):
-        if len(found) > 1:
-            raise InputError(f"weights: expected one {what}, found {' and '.join(sorted(found))}")
+        if len(choices) > 1:
+            raise InputError(f"weights: expected one {what}, found {' and '.join(sorted(choices))}")
     tensors = {
         name: np.asarray(np.mean([each.weights[name] for each in loaded], axis=0, dtype=np.float64), np.float32)
         for name in loaded[0].weights
     }
     save(
-        chosen.out,
+        options.out,
         drop_tiny(loaded[0].weights | tensors),
         {
             "average_of": json.dumps([_unfold(dict(each.metadata)) for each in loaded]),

@@ -66,24 +66,24 @@ def read(path: Path, state: State, device: torch.device) -> None:
     """
     try:
         with safe_open(path, "pt", device=str(device)) as file:
-            found = json.loads(file.metadata()[ENTRY])
+            entry = json.loads(file.metadata()[ENTRY])
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except (OSError, KeyError, TypeError, ValueError, SafetensorError) as error:
         raise InputError(f"{path}: {error}") from error
-    before = found["settings"]
+    before = entry["settings"]
     if different := [k for k in state.settings if before.get(k) != state.settings[k]]:
         name = different[0]
         raise InputError(
             f"{path}: made with {name} {before.get(name)}, not {state.settings[name]}; resume with the same settings"
         )
-    state.step, state.best = found["step"], found["best"]
+    state.step, state.best = entry["step"], entry["best"]
     state.network.load_state_dict(_below("network/", tensors))
     state.heads.load_state_dict(_below("heads/", tensors))
     for name, tensor in _below("average/", tensors).items():
         state.average[name].copy_(tensor)
     for name, optimiser, parameter in _optimised(state):
-        kept = _below(f"optimiser/{name}/", tensors)
-        optimiser.state[parameter] = {k: t if t.ndim == 0 else t.to(memory_format=_layout(parameter)) for k, t in kept.items()}
+        slots = _below(f"optimiser/{name}/", tensors)
+        optimiser.state[parameter] = {k: t if t.ndim == 0 else t.to(memory_format=_layout(parameter)) for k, t in slots.items()}
 
 
 def _optimised(state: State) -> Iterator[tuple[str, torch.optim.Optimizer, Tensor]]:

@@ -81,21 +81,21 @@ def places(shards: list[Shard], split: str, kind: str) -> list[StoredSample]:
 
 def pairs(shards: list[Shard], split: str) -> list[tuple[StoredSample, StoredSample]]:
     """Each SF of a split with the EF of a frame beside it, as frames follow one another; else with the EF of its own frame."""
-    found: list[tuple[StoredSample, StoredSample]] = []
+    couples: list[tuple[StoredSample, StoredSample]] = []
     for sf in places(shards, split, "SF"):
         at = sf.shard.frames[sf.index]
         efs = [StoredSample(sf.shard, i) for i, kind in enumerate(sf.shard.kinds) if kind == "EF"]
         beside = [ef for ef in efs if abs(ef.shard.frames[ef.index] - at) == 1]
-        found += [(sf, ef) for ef in beside or efs if beside or ef.shard.frames[ef.index] == at]
-    return found
+        couples += [(sf, ef) for ef in beside or efs if beside or ef.shard.frames[ef.index] == at]
+    return couples
 
 
 def sets(choice: Sequence[tuple[StoredSample, ...]]) -> list[list[tuple[StoredSample, ...]]]:
     """The draws grouped by the folder of their shard: training draws from each folder equally often, whatever its size."""
-    found: dict[str, list[tuple[StoredSample, ...]]] = {}
-    for drawn in choice:
-        found.setdefault(str(PurePath(drawn[0].shard.name).parent), []).append(drawn)
-    return list(found.values())
+    by_folder: dict[str, list[tuple[StoredSample, ...]]] = {}
+    for draw in choice:
+        by_folder.setdefault(str(PurePath(draw[0].shard.name).parent), []).append(draw)
+    return list(by_folder.values())
 
 
 class Batches:
@@ -134,26 +134,26 @@ class Batches:
 
     def __getitem__(self, step: int) -> Batch:
         random = np.random.default_rng([self._seed, step])
-        made: list[tuple[Array, Array, Array]] = []
+        parts: list[tuple[Array, Array, Array]] = []
         for _ in range(self._batch // self._together):
-            drawn = [self._draw(random) for _ in range(DRAWN)]
-            together, corner = max(drawn, key=lambda one: self._detail(one[0][0], one[1]))
-            taken = [crop(p.shard.inputs[p.index], p.shard.truth[p.index], corner, self._side) for p in together]
+            draws = [self._draw(random) for _ in range(DRAWN)]
+            together, corner = max(draws, key=lambda one: self._detail(one[0][0], one[1]))
+            crops = [crop(p.shard.inputs[p.index], p.shard.truth[p.index], corner, self._side) for p in together]
             last = max(p.shard.frames[p.index] for p in together)
-            for place, (inputs, _) in zip(together, taken, strict=True):
+            for place, (inputs, _) in zip(together, crops, strict=True):
                 if place.shard.frames[place.index] < last or len({p.shard.frames[p.index] for p in together}) == 1:
                     inputs[..., MOTION] = NOWHERE
-            inputs, truth = (np.stack(arrays) for arrays in zip(*taken, strict=True))
+            inputs, truth = (np.stack(arrays) for arrays in zip(*crops, strict=True))
             inputs, truth = self.augment(inputs, truth, random)
             masks = [mask_at_random(one, random) for one in inputs] if self._masking else inputs[..., MASK]
-            made.append((inputs, np.asarray(masks), truth))
-        inputs, masks, truth = (np.concatenate(arrays) for arrays in zip(*made, strict=True))
+            parts.append((inputs, np.asarray(masks), truth))
+        inputs, masks, truth = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
         return collate(inputs, masks, truth)
 
     def _draw(self, random: np.random.Generator) -> tuple[tuple[StoredSample, ...], tuple[int, int]]:
         """Draw samples that belong together, and the corner of a crop in them."""
-        chosen = self._sets[int(random.integers(len(self._sets)))]
-        together = chosen[int(random.integers(len(chosen)))]
+        group = self._sets[int(random.integers(len(self._sets)))]
+        together = group[int(random.integers(len(group)))]
         height, width = together[0].shard.inputs.shape[1:3]
         return together, (
             int(random.integers(0, height - self._side, endpoint=True)),
@@ -183,8 +183,8 @@ def details(truth: Array) -> Array:
     """Detail that half the size loses, the distances of four pixels from their mean, as sums from the corner, (H + 1, W + 1)."""
     height, width, channels = truth.shape
     blocks = truth.astype(np.float32).reshape(height // 2, 2, width // 2, 2, channels)
-    found = np.abs(blocks - blocks.mean(axis=(1, 3), keepdims=True)).sum(axis=(1, 3, 4), dtype=np.float64)
-    return np.pad(found.cumsum(0).cumsum(1), ((1, 0), (1, 0)))
+    distances = np.abs(blocks - blocks.mean(axis=(1, 3), keepdims=True)).sum(axis=(1, 3, 4), dtype=np.float64)
+    return np.pad(distances.cumsum(0).cumsum(1), ((1, 0), (1, 0)))
 
 
 def whole(place: StoredSample) -> Batch:

@@ -118,10 +118,10 @@ class Network(nn.Module):
         self.second_color: SecondColor = second_color
         for layer in LAYERS:
             sizes = layer.inputs, layer.outputs
-            made = (
+            module = (
                 Gated(*sizes, layer.stride) if layer.gated else nn.Conv2d(*sizes, layer.kernel, layer.stride, layer.kernel // 2)
             )
-            _place(self, layer.name, made)
+            _place(self, layer.name, module)
         self.rectifier = Rectifier()
 
     def forward(self, color: Tensor, gbuffer: Tensor, mask: Tensor, history: Tensor) -> Tensor:
@@ -139,8 +139,8 @@ class Network(nn.Module):
         """
         if color.shape[1] > 6:
             color = color[:, :6] if self.second_color == "newest" else torch.cat([color[:, :3], color[:, 6:]], 1)
-        known = {HISTORY: self.embedded(history)} if self.without == "history" else {}
-        results = evaluate(self, color, gbuffer, mask, history.flatten(0, 1), GRAPHS[self.without], known)
+        results_before = {HISTORY: self.embedded(history)} if self.without == "history" else {}
+        results = evaluate(self, color, gbuffer, mask, history.flatten(0, 1), GRAPHS[self.without], results_before)
         features = {feature: results[name] for feature, name in FEATURES.items() if name in results}
         return nn.functional.pixel_shuffle(results[GRAPH[-1].name], 2), features
 

@@ -32,13 +32,13 @@ FRAMES = 200
 
 def mean_below(weights: Weights, shards: list[Shard]) -> np.ndarray:
     """(32,) mean of what half size reads from below it, over the training split's SFs and EFs."""
-    network, seen = Network(), list[torch.Tensor]()
+    network, means = Network(), list[torch.Tensor]()
     load_weights(network, weights)
     with torch.no_grad():
         for place in (p for kind in KINDS for p in spread(places(shards, "training", kind), FRAMES)):
             _, features = network.residual(*tensors(whole(place), torch.device("cpu"))[:4])
-            seen.append(features["up1"].mean((0, 2, 3)))
-    return torch.stack(seen).mean(0).numpy()
+            means.append(features["up1"].mean((0, 2, 3)))
+    return torch.stack(means).mean(0).numpy()
 
 
 def prune(weights: Weights, mean: np.ndarray) -> Weights:
@@ -49,10 +49,10 @@ def prune(weights: Weights, mean: np.ndarray) -> Weights:
     kernel, bias = weights[f"{READER}.weight"].copy(), weights[f"{READER}.bias"].copy()
     bias += np.einsum("oiyx,i->o", kernel[:, -len(mean) :], mean)
     kernel[:, -len(mean) :] = 0
-    made = drop_tiny(weights | {f"{READER}.weight": kernel, f"{READER}.bias": bias})
-    runs = find_live(made).layers
+    pruned = drop_tiny(weights | {f"{READER}.weight": kernel, f"{READER}.bias": bias})
+    runs = find_live(pruned).layers
     dead = [layer for layer in LAYERS if layer.name not in runs]
-    return made | {name: np.zeros(shape, np.float32) for layer in dead for name, shape in layer.tensors()}
+    return pruned | {name: np.zeros(shape, np.float32) for layer in dead for name, shape in layer.tensors()}
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -61,11 +61,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("data", type=Path, help="folder of shards, made by python -m training.samples")
     parser.add_argument("--weights", required=True, help="safetensors file, or the name of a set")
     parser.add_argument("-o", "--out", type=Path, required=True)
-    chosen = parser.parse_args(arguments)
-    require_places({"--out": chosen.out}, [chosen.data, Path(chosen.weights)])
-    loaded = load(chosen.weights)
-    made = prune(loaded.weights, mean_below(loaded.weights, load_shards(chosen.data)))
-    save(chosen.out, made, {"pruned": "below half size", "average_of": json.dumps([dict(loaded.metadata)])})
+    options = parser.parse_args(arguments)
+    require_places({"--out": options.out}, [options.data, Path(options.weights)])
+    loaded = load(options.weights)
+    pruned = prune(loaded.weights, mean_below(loaded.weights, load_shards(options.data)))
+    save(options.out, pruned, {"pruned": "below half size", "average_of": json.dumps([dict(loaded.metadata)])})
 
 
 if __name__ == "__main__":

@@ -84,8 +84,10 @@ def samples(frames: Sequence[DisplayFrame], truths: Mapping[int, Image], hole_fi
             ]
             planned = plan(window)
             if planned is not None and len(window) > 1:
-                given = frame_inputs(window, planned.steps)
-                inputs = pack(warp_all(given, hole_fill=hole_fill), _motion(window[-2], last), details(given, hole_fill))
+                frame_planes = frame_inputs(window, planned.steps)
+                inputs = pack(
+                    warp_all(frame_planes, hole_fill=hole_fill), _motion(window[-2], last), details(frame_planes, hole_fill)
+                )
                 yield Sample(last.number, kind, inputs, truths[last.number])
 
 
@@ -107,8 +109,8 @@ def _motion(before: DisplayFrame, now: DisplayFrame) -> Image:
 def details(inputs: FrameInputs, hole_fill: HoleFill) -> Image:
     """The second colour "detail" of R, G and B apart, (H, W, 9): across, down, level. Augmentation lets the colours change places."""
     channels = [np.repeat(inputs.colors[..., c : c + 1], 3, axis=-1) for c in range(3)]
-    made = [warp_all(replace(inputs, colors=c), second="detail", hole_fill=hole_fill).color[..., 3:] for c in channels]
-    return np.stack(made, axis=-1).reshape(*inputs.nov.shape, 9)
+    planes = [warp_all(replace(inputs, colors=c), second="detail", hole_fill=hole_fill).color[..., 3:] for c in channels]
+    return np.stack(planes, axis=-1).reshape(*inputs.nov.shape, 9)
 
 
 def pack(inputs: NetworkInputs, motion: Image, of_pixels: Image) -> Image:
@@ -211,29 +213,31 @@ def require_shard(folder: Path, reads: Sequence[Path] = ()) -> None:
         if place in (read, *read.parents) or read in place.parents:
             raise InputError(f"{folder}: lies above or below {read}, which is read; expected another --out or --name")
     if os.path.lexists(folder):
-        found = (
+        files = (
             {path.name for path in folder.iterdir() if path.is_file()} if folder.is_dir() and not folder.is_symlink() else None
         )
-        if found != FILES or len(list(folder.iterdir())) != len(FILES):
+        if files != FILES or len(list(folder.iterdir())) != len(FILES):
             raise InputError(f"{folder}: expected nothing there, or a shard of {', '.join(sorted(FILES))} alone")
 
 
-def write(folder: Path, scene: str, split: str, hole_fill: HoleFill, made: Iterable[Sample], reads: Sequence[Path] = ()) -> int:
+def write(
+    folder: Path, scene: str, split: str, hole_fill: HoleFill, samples: Iterable[Sample], reads: Sequence[Path] = ()
+) -> int:
     """Write samples as a shard, whole or not at all; see `require_shard`. Returns their number."""
     require_shard(folder, reads)
-    kept = list(made)
-    if not kept:
+    rows = list(samples)
+    if not rows:
         raise InputError(f"{folder.name}: no frame has a truth and a history")
     folder.parent.mkdir(parents=True, exist_ok=True)
     temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
     try:
         temporary.chmod(0o755)
-        for name, arrays in (("inputs", [s.inputs for s in kept]), ("truth", [s.truth for s in kept])):
+        for name, arrays in (("inputs", [s.inputs for s in rows]), ("truth", [s.truth for s in rows])):
             half: NDArray[np.float16] = np.stack(arrays).astype(np.float16)
             if not np.isfinite(half).all():
                 raise InputError(f"{folder.name}: {name}: not finite as float16")
             np.save(temporary / f"{name}.npy", half)
-        index = {"scene": scene, "split": split, "frames": [s.number for s in kept], "kinds": [s.kind.value for s in kept]}
+        index = {"scene": scene, "split": split, "frames": [s.number for s in rows], "kinds": [s.kind.value for s in rows]}
         (temporary / "index.json").write_text(json.dumps({**index, "hole_fill": hole_fill}))
         require_shard(folder, reads)
         shutil.rmtree(folder, ignore_errors=True)
@@ -241,7 +245,7 @@ def write(folder: Path, scene: str, split: str, hole_fill: HoleFill, made: Itera
     except BaseException:
         shutil.rmtree(temporary, ignore_errors=True)
         raise
-    return len(kept)
+    return len(rows)
 
 
 def write_film(seed: int, inputs: str, size: tuple[int, int], hole_fill: HoleFill, out: Path) -> str:
@@ -269,22 +273,22 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--name", help="of the shard; default: that of the folder above LR")
     parser.add_argument("--scene", help="sequences of one scene go into one split; default: the name")
     parser.add_argument("--split", choices=SPLITS, help="default: drawn from the scene's name, 8 : 1 : 1")
-    chosen = parser.parse_args(arguments)
-    chosen.out.mkdir(parents=True, exist_ok=True)
-    if chosen.sequence:
-        low, high = chosen.sequence
-        name = chosen.name or low.resolve().parent.name
+    options = parser.parse_args(arguments)
+    options.out.mkdir(parents=True, exist_ok=True)
+    if options.sequence:
+        low, high = options.sequence
+        name = options.name or low.resolve().parent.name
         if name in ("", ".", "..") or not {"/", "\\"}.isdisjoint(name):
             raise InputError(f"--name {name}: expected the name of a folder, without separators")
-        scene = chosen.scene or name
-        made = sequence_samples(low, high, chosen.profile, chosen.camera, chosen.hole_fill)
-        count = write(chosen.out / name, scene, chosen.split or split_of(scene), chosen.hole_fill, made, [low, high])
+        scene = options.scene or name
+        film = sequence_samples(low, high, options.profile, options.camera, options.hole_fill)
+        count = write(options.out / name, scene, options.split or split_of(scene), options.hole_fill, film, [low, high])
         sys.stdout.write(f"{name}: {count} samples\n")
-    if chosen.analytic:
-        width, height = (int(v) for v in chosen.size.split("x"))
-        work = partial(write_film, inputs=chosen.inputs, size=(height, width), hole_fill=chosen.hole_fill, out=chosen.out)
-        seeds = range(chosen.first, chosen.first + chosen.analytic)
-        with ProcessPoolExecutor(chosen.jobs) as pool:
+    if options.analytic:
+        width, height = (int(v) for v in options.size.split("x"))
+        work = partial(write_film, inputs=options.inputs, size=(height, width), hole_fill=options.hole_fill, out=options.out)
+        seeds = range(options.first, options.first + options.analytic)
+        with ProcessPoolExecutor(options.jobs) as pool:
             for line in pool.map(work, seeds):
                 sys.stdout.write(line + "\n")
                 sys.stdout.flush()

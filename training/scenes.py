@@ -99,7 +99,7 @@ def _shape(random: Random, size: float) -> Shape:
 
 def _thin(random: Random) -> list[Object]:
     """Poles, rails and wires about a pixel wide or less; the background behind them changes as the camera moves."""
-    found: list[Object] = []
+    things: list[Object] = []
     for group in range(int(random.integers(1, 5))):
         material = random_material(random, 40, plain=0.6)
         x, y, step = random.uniform(-300, 100), random.uniform(-350, 200), random.uniform(15, 90)
@@ -113,10 +113,10 @@ def _thin(random: Random) -> list[Object]:
             else:
                 shape = Box((float(random.uniform(60, 260)), thickness, thickness))
                 at = (float(x + 150), float(y), 20.0 + i * float(step) * 0.5)
-            found.append(
+            things.append(
                 Object(f"thin {group}.{i}", shape, material, at=at, yaw=0.0 if upright else float(random.normal(0, 0.3)))
             )
-    return found
+    return things
 
 
 def _speed(random: Random, slow: float, fast: float) -> float:

@@ -260,50 +260,50 @@ def options() -> argparse.ArgumentParser:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """``python -m training.train``."""
-    chosen = options().parse_args(arguments)
-    if chosen.threads:
-        torch.set_num_threads(chosen.threads)
-    if chosen.compile and shutil.which(os.environ.get("CXX", "g++")) is None:
+    args = options().parse_args(arguments)
+    if args.threads:
+        torch.set_num_threads(args.threads)
+    if args.compile and shutil.which(os.environ.get("CXX", "g++")) is None:
         raise InputError("--compile: expected a C++ compiler, g++ or what CXX names; found none")
-    if chosen.initial is not None and not chosen.resume:
-        for path in filter(Path.exists, (chosen.out / name for name in WRITTEN)):
-            require_places({"--out": path}, [Path(chosen.initial)])
-    device = torch.device(chosen.device)
-    shards = load_shards(chosen.data)
-    before = "newest" if chosen.initial is None else load(chosen.initial).weights.second_color
-    half = chosen.half == "on" or (chosen.half == "auto" and device.type == "cuda")
+    if args.initial is not None and not args.resume:
+        for path in filter(Path.exists, (args.out / name for name in WRITTEN)):
+            require_places({"--out": path}, [Path(args.initial)])
+    device = torch.device(args.device)
+    shards = load_shards(args.data)
+    before = "newest" if args.initial is None else load(args.initial).weights.second_color
+    half = args.half == "on" or (args.half == "auto" and device.type == "cuda")
     settings = Settings(
-        chosen.crop,
-        chosen.batch,
-        chosen.rate,
-        chosen.warm_up,
-        chosen.seed,
+        args.crop,
+        args.batch,
+        args.rate,
+        args.warm_up,
+        args.seed,
         half,
-        young=float(chosen.initial is None),
-        squares=chosen.squares,
-        history=chosen.history,
-        structure=chosen.structure,
-        structure_ef=chosen.structure if chosen.structure_ef is None else chosen.structure_ef,
-        extrapolated=chosen.extrapolated,
-        masking=chosen.masking,
-        holes=chosen.holes,
-        augment=chosen.augment,
-        compiled=chosen.compile,
-        second_color=chosen.second_color or before,
+        young=float(args.initial is None),
+        squares=args.squares,
+        history=args.history,
+        structure=args.structure,
+        structure_ef=args.structure if args.structure_ef is None else args.structure_ef,
+        extrapolated=args.extrapolated,
+        masking=args.masking,
+        holes=args.holes,
+        augment=args.augment,
+        compiled=args.compile,
+        second_color=args.second_color or before,
         hole_fill=shards[0].hole_fill,
-        steady=chosen.steady,
+        steady=args.steady,
     )
-    state = start(settings, device, chosen.initial)
-    path = chosen.out / "state.safetensors"
+    state = start(settings, device, args.initial)
+    path = args.out / "state.safetensors"
     if path.exists():
-        if not chosen.resume:
-            raise InputError(f"{chosen.out}: holds a run; --resume goes on with it")
+        if not args.resume:
+            raise InputError(f"{args.out}: holds a run; --resume goes on with it")
         checkpoint.read(path, state, device)
-    chosen.out.mkdir(parents=True, exist_ok=True)
-    plan = Plan(chosen.steps, chosen.validate, chosen.log, chosen.most)
+    args.out.mkdir(parents=True, exist_ok=True)
+    plan = Plan(args.steps, args.validate, args.log, args.most)
     torch.set_flush_denormal(True)  # the momentum of a dead unit becomes denormal, and then a step takes twice the time
     try:
-        train(chosen.out, shards, state, settings, plan, device)
+        train(args.out, shards, state, settings, plan, device)
     finally:
         torch.set_flush_denormal(False)
 

@@ -33,8 +33,8 @@ def bilinear(color: Tensor, gbuffer: Tensor, mask: Tensor, history: Tensor) -> T
 
 def tensors(batch: Batch, device: torch.device) -> tuple[Tensor, ...]:
     """The batch on the device, with channels last in memory, as convolutions run fastest."""
-    made = [torch.from_numpy(array).to(device, non_blocking=True) for array in batch]
-    return tuple(t.contiguous(memory_format=torch.channels_last) if t.ndim == 4 else t for t in made)
+    parts = [torch.from_numpy(array).to(device, non_blocking=True) for array in batch]
+    return tuple(t.contiguous(memory_format=torch.channels_last) if t.ndim == 4 else t for t in parts)
 
 
 def validate(model: Model, shards: list[Shard], split: str, *, most: int, device: torch.device) -> Means:
@@ -45,10 +45,10 @@ def validate(model: Model, shards: list[Shard], split: str, *, most: int, device
     """
     means: Means = {}
     for kind in KINDS:
-        chosen = spread(places(shards, split, kind), most)
-        if not chosen:
+        sample = spread(places(shards, split, kind), most)
+        if not sample:
             raise InputError(f"split {split}: no {kind} samples")
-        scores = mean_scores([_score(model, place, device) for place in chosen])
+        scores = mean_scores([_score(model, place, device) for place in sample])
         for name, value in (
             (kind, scores["all"].psnr_rgb),
             (f"{kind} holes", scores["holes"].psnr_rgb),
@@ -83,14 +83,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--weights", default="bilinear", help="safetensors file")
     parser.add_argument("--split", default="test", choices=("training", "validation", "test"))
     parser.add_argument("--most", type=int, default=10**6, help="frames of each kind")
-    chosen = parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
     network = Network().to(device)
-    load_weights(network, load(chosen.weights).weights)
-    shards = load_shards(chosen.data)
-    for name, model in (("bilinear", bilinear), (chosen.weights, network)):
-        found = validate(model, shards, chosen.split, most=chosen.most, device=device)
-        sys.stdout.write(f"{name}: {json.dumps(found)}\n")
+    load_weights(network, load(options.weights).weights)
+    shards = load_shards(options.data)
+    for name, model in (("bilinear", bilinear), (options.weights, network)):
+        means = validate(model, shards, options.split, most=options.most, device=device)
+        sys.stdout.write(f"{name}: {json.dumps(means)}\n")
 
 
 if __name__ == "__main__":

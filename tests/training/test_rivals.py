@@ -104,10 +104,10 @@ def test_every_chain_writes_frames_and_scores(tmp_path, monkeypatch):
     curve, files = transfer("srgb"), open_sequence(tmp_path / "frames")
     frames = [curve.encode(np.full((16, 24, 3), value, np.float32)) for value in (0.1, 0.2, 0.6)]
     window = [display_frame.prepare(files.load(number), curve, "scale") for number in range(2)]
-    every = run.Shown(run.EVERY, dict(enumerate(frames)).get, curve)
+    every = run.RenderedFrames(run.EVERY, dict(enumerate(frames)).get, curve)
     np.testing.assert_array_equal(every.compute(window, (1, 1, 1))[0], upsample_centres(frames[1]))
     with pytest.raises(InputError, match="every: frame 1 was not rendered"):
-        run.Shown(run.EVERY, {}.get, curve).compute(window, (1, 1, 1))
+        run.RenderedFrames(run.EVERY, {}.get, curve).compute(window, (1, 1, 1))
     lanczos, between = ([shown(f"out/{name}", number) for number in range(3)] for name in ("lanczos", "lanczos+rife"))
     assert np.abs(between[0] - lanczos[0]).max() < 2e-3
     assert np.abs(between[1] - (lanczos[0] + lanczos[2]) / 2).max() < 4e-3

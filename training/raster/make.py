@@ -314,19 +314,19 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--track", help="all clips of --kind track on this one, under one light")
     parser.add_argument("--jitter", action="store_true", help="shift the camera by half pixels, the truth's too")
     parser.add_argument("-o", "--out", type=Path, required=True, help="a folder for each clip; an existing one is not made again")
-    chosen = parser.parse_args(arguments)
-    if chosen.track in HELD_OUT:
-        raise InputError(f"--track {chosen.track}: expected another, views of {' and '.join(HELD_OUT)} are measured")
-    jitter = JITTER if chosen.jitter else None
-    draw = partial(draw_clip, track=chosen.track) if chosen.kind == "track" else DRAW[chosen.kind]
-    clips = [draw(n) | {"jitter": jitter} for n in range(chosen.first, chosen.first + chosen.clips)]
-    raw = chosen.out / f".raw{chosen.first}"
-    wanted = [c for c in clips if not (chosen.out / c["name"]).exists()]
+    options = parser.parse_args(arguments)
+    if options.track in HELD_OUT:
+        raise InputError(f"--track {options.track}: expected another, views of {' and '.join(HELD_OUT)} are measured")
+    jitter = JITTER if options.jitter else None
+    draw = partial(draw_clip, track=options.track) if options.kind == "track" else DRAW[options.kind]
+    clips = [draw(n) | {"jitter": jitter} for n in range(options.first, options.first + options.clips)]
+    raw = options.out / f".raw{options.first}"
+    todo = [c for c in clips if not (options.out / c["name"]).exists()]
     raw.mkdir(parents=True, exist_ok=True)
-    (raw / "clips.json").write_text(json.dumps(wanted))
-    subprocess.run(["node", Path(__file__).with_name("drive.mjs"), chosen.assets, raw / "clips.json", raw], check=True)
-    for clip in wanted:
-        write_clip(raw, clip, chosen.out / clip["name"])
+    (raw / "clips.json").write_text(json.dumps(todo))
+    subprocess.run(["node", Path(__file__).with_name("drive.mjs"), options.assets, raw / "clips.json", raw], check=True)
+    for clip in todo:
+        write_clip(raw, clip, options.out / clip["name"])
     shutil.rmtree(raw)
 
 

@@ -134,12 +134,12 @@ def extrapolate(
     history[..., :3] = np.log1p(history[..., :3])
     height, width = sky.shape
     edges = ((0, 0), (0, -height % 8), (0, -width % 8), (0, 0))
-    given = [np.pad(plane[None], edges, mode="edge") for plane in planes.values()] + [np.pad(history, edges, mode="edge")]
+    planes_in = [np.pad(plane[None], edges, mode="edge") for plane in planes.values()] + [np.pad(history, edges, mode="edge")]
     with torch.inference_mode():
-        made = network(*(torch.from_numpy(np.moveaxis(x, -1, 1).astype(np.float32)) for x in given))[0].numpy()
-    shown = np.expm1(np.moveaxis(made, 0, -1)[:height, :width]).clip(0) * now.base_color
+        output = network(*(torch.from_numpy(np.moveaxis(x, -1, 1).astype(np.float32)) for x in planes_in))[0].numpy()
+    color = np.expm1(np.moveaxis(output, 0, -1)[:height, :width]).clip(0) * now.base_color
     unlit = sky | (now.base_color == 0).all(axis=-1)
-    warped = curve.encode(np.where(unlit[..., None], 0, shown).astype(np.float32))
+    warped = curve.encode(np.where(unlit[..., None], 0, color).astype(np.float32))
     return np.where(unlit[..., None], prepare(inputs).color[..., :3], warped)
 
 

@@ -68,28 +68,28 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--engines", nargs="+", default=("pytorch", "openvino"))
     parser.add_argument("--repeat", type=int, default=5)
     parser.add_argument("--threads", type=int, default=2)
-    chosen = parser.parse_args(arguments)
-    torch.set_num_threads(chosen.threads)
+    options = parser.parse_args(arguments)
+    torch.set_num_threads(options.threads)
     # One engine at a time: what OpenVINO holds for 3840x2160 leaves PyTorch no room in 23 GB.
-    for size, engine in product(chosen.size, chosen.engines):
+    for size, engine in product(options.size, options.engines):
         runs: dict[str, Callable[[], object]] = {}
-        for row in chosen.rows:
+        for row in options.rows:
             network, parameters = build(row)
             inputs = inputs_of(row, *map(int, size.split("x")))
-            if engine == chosen.engines[0]:
+            if engine == options.engines[0]:
                 with FlopCounterMode(display=False) as counter:
                     network(*inputs)
                 counted = f"{parameters / 1e6:.3f} M parameters, {counter.get_total_flops() / 2e9:.2f} G multiply-adds"
                 sys.stdout.write(f"{size} {row}: {counted}\n")
-            runs[row] = runner(engine, network, inputs, chosen.threads)
+            runs[row] = runner(engine, network, inputs, options.threads)
         times: dict[str, list[tuple[float, float]]] = {row: [] for row in runs}
-        for _ in range(chosen.repeat + 1):
+        for _ in range(options.repeat + 1):
             for row, run in runs.items():
                 before = time.perf_counter(), time.process_time()
                 run()
-                times[row].append((time.perf_counter() - before[0], (time.process_time() - before[1]) / chosen.threads))
-        for row, (_, *found) in times.items():
-            wall, processor = (min(values) * 1e3 for values in zip(*found, strict=True))
+                times[row].append((time.perf_counter() - before[0], (time.process_time() - before[1]) / options.threads))
+        for row, (_, *runs_of) in times.items():
+            wall, processor = (min(values) * 1e3 for values in zip(*runs_of, strict=True))
             sys.stdout.write(f"{size} {row}, {engine}: {wall:.1f} ms, {processor:.1f} ms of processor time a thread\n")
         sys.stdout.flush()
 

