@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from stss_cl.device.buffers import Outgoing, Plain, mask_of, on_device
 from stss_cl.device.discovery import Device
 from stss_cl.image_space.frame_planes import Source, Sources
-from stss_cl.image_space.prepare import Prepare
+from stss_cl.image_space.prepare import Prepare, PrepareOptions
 from stss_cl.network.layers import Layers
 from stss_cl.network.network import Network
 from stss_cl.options import Precision
@@ -124,18 +124,7 @@ class Frame:
 
     def _preparation(self, layers: Layers) -> Prepare:
         if self._prepare is None or self._prepare.inputs is not layers.inputs:
-            self._prepare = Prepare(
-                self.device,
-                *layers.size,
-                self._gather,
-                inputs=layers.inputs,
-                second=layers.second_color,
-                test=layers.hole_test,
-                hole_fill=layers.hole_fill,
-                frames=layers.colors_read,
-                history=layers.reads_history,
-                tops=[strip.top for strip in layers.strips],
-            )
+            self._prepare = preparation(self.device, layers, self._gather)
         return self._prepare
 
     def _run(self, prepare: Prepare, layers: Layers, image: cl.Buffer) -> None:
@@ -166,3 +155,11 @@ class FrameStages:
         arrays = {name: np.ascontiguousarray(inputs[name], np.float32) for name in names}
         image, _ = self._frame(steps=[int(step) for step in inputs["steps"]], **arrays)
         return {"image": image}
+
+
+def preparation(device: Device, layers: Layers, gather: Gather) -> Prepare:
+    """The image-space stages that fill the inputs of ``layers``: of what its weights read, by the hole test that they were trained with."""
+    options = PrepareOptions(
+        gather, layers.second_color, layers.hole_test, layers.hole_fill, layers.colors_read, layers.reads_history
+    )
+    return Prepare(device, *layers.size, options, inputs=layers.inputs, tops=[strip.top for strip in layers.strips])

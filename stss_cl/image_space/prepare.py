@@ -45,17 +45,33 @@ class _Launches:
     eighth: Launch
 
 
+@dataclass(frozen=True)
+class PrepareOptions:
+    """What is computed of a frame.
+
+    Attributes:
+        gather: how the motion chain reads between pixels.
+        second, test, hole_fill: the network's second colour, the hole test and what fills holes, see ``stss_ref.frame.prepare``.
+        frames: how many of the three colour frames are read, from the newest on: 1 or 3. With 1 ``inputs.earlier`` is not written.
+        history: whether ``inputs.earlier`` is read; if not, it is not written, and no older frame is searched for holes.
+    """
+
+    gather: Gather = "longest"
+    second: SecondColor = "newest"
+    test: HoleTest = "footprint"
+    hole_fill: HoleFill = "occlusion_warp"
+    frames: int = 3
+    history: bool = True
+
+
 class Prepare:
     """The launches and buffers of one size of frame; the same values as ``stss_ref.frame.prepare`` in float32.
 
     Args:
         device: to run on.
         height, width: of the frames.
-        gather: how the motion chain reads between pixels.
+        options: what it computes.
         inputs: buffers to write to; None: buffers of its own. If they have change maps, only ``dirty`` tiles are computed.
-        second, test, hole_fill: the network's second colour, the hole test and what fills holes, see ``stss_ref.frame.prepare``.
-        frames: how many of the three colour frames are read, from the newest on: 1 or 3. With 1 ``inputs.earlier`` is not written.
-        history: whether ``inputs.earlier`` is read; if not, it is not written, and no older frame is searched for holes.
         tops: the rows of the frame at which the strips of ``inputs`` begin.
 
     Attributes:
@@ -71,25 +87,17 @@ class Prepare:
         device: Device,
         height: int,
         width: int,
-        gather: Gather = "longest",
+        options: PrepareOptions | None = None,
         *,
         inputs: Inputs | None = None,
-        second: SecondColor = "newest",
-        test: HoleTest = "footprint",
-        hole_fill: HoleFill = "occlusion_warp",
-        frames: int = 3,
-        history: bool = True,
         tops: Sequence[int] = (0,),
     ) -> None:
-        self.device, self.height, self.width, self._gather = device, height, width, gather
-        self._frames, self._tops, self._is_detailed, self._stores = (
-            frames,
-            tuple(tops),
-            second == "detail",
-            history and frames == 3,
-        )
-        self._test: HoleTest = test
-        self._reshades = hole_fill == "reshade"
+        options = PrepareOptions() if options is None else options
+        self.device, self.height, self.width, self._gather = device, height, width, options.gather
+        self._frames, self._tops, self._is_detailed = options.frames, tuple(tops), options.second == "detail"
+        self._stores = options.history and options.frames == 3
+        self._test: HoleTest = options.test
+        self._reshades = options.hole_fill == "reshade"
         rows, columns = ceil_div(height, 8) * 8, ceil_div(width, 8) * 8
         self.inputs = inputs_for(device, rows, columns, np.dtype(np.float32)) if inputs is None else inputs
         self.rows, self.columns = self.inputs.input.height, columns  # of a strip, where the frame goes in strips

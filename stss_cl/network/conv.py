@@ -14,7 +14,7 @@ from stss_cl.device.discovery import Device
 from stss_cl.device.grid import ceil_div, list_size
 from stss_cl.device.tuning import tuning_for
 from stss_cl.network import conv_gpu
-from stss_cl.network.layer import FAST, KernelSource, LayerLaunch, Shape, layer
+from stss_cl.network.layer import FAST, KernelSource, LayerLaunch, Shape, Work, layer
 from stss_cl.network.pack_weights import Packed, amx_bias, amx_tiles, in_lanes, paired, winograd
 from stss_cl.network.tiles import Maps, Tiling, of_convolution
 
@@ -50,19 +50,35 @@ class Final:
         }
 
 
+@dataclass(frozen=True)
+class ConvSpec:
+    """A convolution, whatever it reads and writes.
+
+    Attributes:
+        stage: the stage that it belongs to.
+        name: its name.
+        packed: its tensors.
+        stride: 1 or 2.
+        relu: whether ReLU follows.
+        side: side of Winograd's tiles, 4 or 2 at stride 1, 2 at stride 2; 0: the plain kernel, which also runs where no faster one does.
+    """
+
+    stage: str
+    name: str
+    packed: Packed
+    stride: int = 1
+    relu: bool = True
+    side: int = 4
+
+
 def conv(
     device: Device,
-    stage: str,
-    name: str,
-    packed: Packed,
+    spec: ConvSpec,
     a: Padded,
     b: Padded | None,
     out: Padded,
     *,
     out_first: int = 0,
-    stride: int = 1,
-    relu: bool = True,
-    side: int = 4,
     image: int | None = 0,
     final: Final | None = None,
 ) -> LayerLaunch:
@@ -70,22 +86,18 @@ def conv(
 
     Args:
         device: to run on.
-        stage: the launch's stage.
-        name: the launch's name.
-        packed: the layer's tensors.
+        spec: the convolution.
         a: first input; its image ``image`` is read.
         b: second input, if any.
-        out: the output; its size is the input's divided by ``stride``.
+        out: the output; its size is the input's divided by the stride.
         out_first: the first channel of it to write.
-        stride: 1 or 2.
-        relu: whether ReLU follows.
-        side: side of Winograd's tiles, 4 or 2 at stride 1, 2 at stride 2; 0: the plain kernel, which also runs where no faster one does.
         image: which of ``a``'s images; None: all of them in one launch, where work-groups share local memory, into the images of ``out``,
             or, if it has one, into channels one behind the other.
         final: write ``image`` instead of ``out``; the caller sets it before every run.
     """
-    shape = _shape(device, packed, a, out, side, stride, final, a.images if image is None else 1)
-    source = _source(device, shape, packed, a, b, out, relu=relu)
+    packed = spec.packed
+    shape = _shape(device, spec, a, out, final, a.images if image is None else 1)
+    source = _source(device, shape, packed, a, b, out, relu=spec.relu)
     arguments = {
         "a": a.data,
         "b": b.data if b else a.data,
@@ -101,7 +113,8 @@ def conv(
         **_from_image_to_image(a, out, packed, shape),
     }
     maps = _maps(a, image or 0, b or final)
-    return layer(device, stage, name, source, arguments, shape.tiling, shape.size, shape.group, maps, None if final else out)
+    work = Work(shape.tiling, shape.size, shape.group)
+    return layer(device, spec.stage, spec.name, source, arguments, work, maps, None if final else out)
 
 
 def _from_image_to_image(a: Padded, out: Padded, packed: Packed, shape: Shape) -> dict[str, int]:
@@ -146,10 +159,9 @@ def _source(
     )
 
 
-def _shape(
-    device: Device, packed: Packed, a: Padded, out: Padded, side: int, stride: int, final: Final | None, images: int
-) -> Shape:
-    """The fastest kernel for this layer by the row of tile sizes; the plain one for ``side`` 0."""
+def _shape(device: Device, spec: ConvSpec, a: Padded, out: Padded, final: Final | None, images: int) -> Shape:
+    """The fastest kernel for this layer by the row of tile sizes; the plain one for side 0."""
+    packed, stride, side = spec.packed, spec.stride, spec.side
     tuning, whole_eights = tuning_for(device), a.channels % 8 == 0
     if storage(out.dtype) == "BFLOAT16":
         return _on_amx(device, packed, a, final or out, stride, image=final is not None)

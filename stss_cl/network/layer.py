@@ -30,6 +30,14 @@ class KernelSource(NamedTuple):
     flags: str = ""
 
 
+class Work(NamedTuple):
+    """The work of a launch: the tiles of its output, global size and work-group."""
+
+    tiling: Tiling
+    size: tuple[int, ...]
+    group: tuple[int, ...]
+
+
 @dataclass(frozen=True)
 class Shape:
     """The parts in which convolution kernels differ; their arguments are the same.
@@ -89,9 +97,7 @@ def layer(
     name: str,
     source: KernelSource,
     arguments: Arguments,
-    tiling: Tiling,
-    size: tuple[int, ...],
-    group: tuple[int, ...],
+    work: Work,
     reads: Maps | None,
     out: Padded | None,
 ) -> LayerLaunch:
@@ -99,11 +105,12 @@ def layer(
 
     Args:
         device: to run on.
-        stage, name, source, tiling, reads: see ``LayerLaunch``.
+        stage, name, source, reads: see ``LayerLaunch``.
         arguments: those of the kernel but the list and, where it can mark, the output's map.
-        size, group: global size and work-group of the launch.
+        work: its tiles and sizes.
         out: the activations that it writes and marks; None: it writes the image.
     """
+    tiling, size, group = work
     tiles = whole(device, tiling.lines, tiling.columns)
     marks = {} if out is None else {"changes": None}
     together = {**arguments, "tiles": tiles.tiles, "count": tiles.count, **marks}

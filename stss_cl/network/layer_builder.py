@@ -15,8 +15,8 @@ from stss_cl.device.discovery import Device
 from stss_cl.device.grid import GROUP, list_size
 from stss_cl.device.launch import Arguments
 from stss_cl.device.parts import Parts
-from stss_cl.network.conv import Final, conv
-from stss_cl.network.layer import FAST, KernelSource, LayerLaunch, layer
+from stss_cl.network.conv import ConvSpec, Final, conv
+from stss_cl.network.layer import FAST, KernelSource, LayerLaunch, Work, layer
 from stss_cl.network.pack_weights import pack
 from stss_cl.network.plan import Conv, Slot
 from stss_cl.network.tiles import Maps, Tiling
@@ -78,19 +78,15 @@ class LayerBuilder:
         # At an eighth a tile of 4 x 4 would be 32 pixels of the frame, and rounding spreads by a tile a layer: decision 11.
         side = 0 if not self._winograd else 2 if layer.divisor == 8 else 4
         packed = pack(self._weights, layer.name, tuple((real, slot.channels) for slot, real in step.inputs))
-        launch = conv(
-            self._device, layer.stage, layer.name, packed, a, b, out, out_first=step.first,
-            stride=layer.stride, relu=layer.relu, side=side, image=step.image, final=final,
-        )  # fmt: skip
+        spec = ConvSpec(layer.stage, layer.name, packed, layer.stride, layer.relu, side)
+        launch = conv(self._device, spec, a, b, out, out_first=step.first, image=step.image, final=final)
         self.launches.append(launch)
         self.results.append((out, step.first, layer.outputs) if final is None else None)
 
     def kernel(
         self,
         stage: str,
-        name: str,
-        file: str,
-        options: dict[str, object],
+        source: KernelSource,
         arguments: Arguments,
         tiling: Tiling,
         *,
@@ -101,9 +97,8 @@ class LayerBuilder:
         """Append any other kernel over tiles; the list of its tiles comes to ``arguments``.
 
         Args:
-            stage, name: of the layer; the kernel has the same name.
-            file: the kernel's file.
-            options: its build options.
+            stage: of the layer, whose name is the kernel's.
+            source: the kernel, without the options that all have.
             arguments: its own, by name.
             tiling: the tiles of its output.
             workers: work-items that share a tile on a GPU.
@@ -113,12 +108,14 @@ class LayerBuilder:
         # Interpolation is not contracted, so that it has the reference's bits.
         flags = FAST if stage == "erm" else ""
         workers = 1 if self._device.is_cpu else workers
-        source = KernelSource(file, name, {**options, "WORKERS": workers, **amx.stored_as(self._device, self._dtype)}, flags)
+        options = {**source.options, "WORKERS": workers, **amx.stored_as(self._device, self._dtype)}
+        source = KernelSource(source.file, source.kernel, options, flags)
         group = 1 if self._device.is_cpu else max(GROUP, workers)
         size = list_size(self._device, tiling.most, workers=workers, group=group)
         maps = tuple(tensor.changes for tensor in reads if tensor.changes is not None)
         maps_in = Maps(maps, reads[0].rows - 2, reads[0].columns - 2) if maps else None
-        self.launches.append(layer(self._device, stage, name, source, arguments, tiling, (size,), (group,), maps_in, out))
+        work = Work(tiling, (size,), (group,))
+        self.launches.append(layer(self._device, stage, source.kernel, source, arguments, work, maps_in, out))
         self.results.append(None)
         return self.launches[-1]
 

@@ -17,7 +17,7 @@ from stss_cl.device.parts import zeroed
 from stss_cl.device.tuning import tuning_for
 from stss_cl.liveness import Live, colors_read, drop_tiny, find_live
 from stss_cl.network.conv import Final
-from stss_cl.network.layer import LayerLaunch
+from stss_cl.network.layer import KernelSource, LayerLaunch
 from stss_cl.network.layer_builder import LayerBuilder, dtype_of
 from stss_cl.network.pack_inputs import PackInputs
 from stss_cl.network.pack_weights import amx_outc, pack_outc
@@ -210,17 +210,17 @@ class Layers:
         result = {"value": value.data, "eighth": eighth.data, "reshaded": out.data, **size, "out_channels": out.channels}
         if step.unit is None:
             self._build.kernel(
-                "erm", "attend_local", "attend_local.cl", options, {"key": key.data, **result},
+                "erm", KernelSource("attend_local.cl", "attend_local", options), {"key": key.data, **result},
                 window, workers=2 * value.channels, reads=(key, value, eighth), out=out,
             )  # fmt: skip
             return
         unit = self._build[step.unit]
         self._build.kernel(
-            "erm", "normalise", "erm.cl", options, {"key": key.data, "unit": unit.data, **size},
+            "erm", KernelSource("erm.cl", "normalise", options), {"key": key.data, "unit": unit.data, **size},
             of_convolution(key.height, key.width, 1, 1), reads=(key,), out=unit,
         )  # fmt: skip
         self._build.kernel(
-            "erm", "attend", "erm.cl", options, {"unit": unit.data, **result}, window, reads=(unit, value, eighth), out=out
+            "erm", KernelSource("erm.cl", "attend", options), {"unit": unit.data, **result}, window, reads=(unit, value, eighth), out=out
         )  # fmt: skip
 
     def _upsample(self, step: Upsample) -> None:
@@ -229,7 +229,8 @@ class Layers:
         across = 32 if self.device.is_cpu else 4
         tiling = Tiling(ceil_div(up.height, 4), ceil_div(up.width, across), (2, across // 2), 1, 0)
         launch = self._build.kernel(
-            "decoder", "upsample_corners", "resample.cl", {"EIGHTS": x.channels // 8, "PREFETCH": self.device.takes_prefetch},
+            "decoder",
+            KernelSource("resample.cl", "upsample_corners", {"EIGHTS": x.channels // 8, "PREFETCH": self.device.takes_prefetch}),
             {
                 "in": x.data, "out": up.data, "height": x.height, "width": x.width, "in_columns": x.columns,
                 "out_columns": up.columns, "full_height": self._full // step.source.divisor, "top": 0,
@@ -250,7 +251,7 @@ class Layers:
             return
         feature = self._build[what.last]
         self._build.kernel(
-            "decoder", "image", "decoder.cl", {},
+            "decoder", KernelSource("decoder.cl", "image", {}),
             {
                 "feature": feature.data, "color": final.color, "weight": final.weight, "bias": final.bias,
                 "height": final.height, "width": final.width, "rows": final.rows, "columns": final.columns,

@@ -13,8 +13,8 @@ from stss_cl.cost import Part
 from stss_cl.device.buffers import Outgoing
 from stss_cl.device.discovery import Device
 from stss_cl.device.staging import staging
+from stss_cl.frame import preparation
 from stss_cl.image_space.frame_planes import Sources
-from stss_cl.image_space.prepare import Prepare
 from stss_cl.network.layers import Layers
 from stss_cl.skip.arrival import Tiles
 from stss_cl.skip.change_control import MOST_CHANGED
@@ -42,17 +42,7 @@ class FrameCache:
 
     def __init__(self, device: Device, layers: Layers, gather: Gather):
         self.layers, self.network = layers, PartialNetwork(layers)
-        self.prepare = Prepare(
-            device,
-            *layers.size,
-            gather,
-            inputs=layers.inputs,
-            second=layers.second_color,
-            test=layers.hole_test,
-            hole_fill=layers.hole_fill,
-            frames=layers.colors_read,
-            history=layers.reads_history,
-        )
+        self.prepare = preparation(device, layers, gather)
         self.last: Last | None = None
         self._is_first = True
         self._device = device

@@ -16,7 +16,7 @@ from stss_cl.device.discovery import Device, DeviceError, Properties
 from stss_cl.device.grid import ceil8
 from stss_cl.device.launch import Launch
 from stss_cl.device.tuning import Direct, Local, Tuning, Winograd, trial
-from stss_cl.network.conv import conv
+from stss_cl.network.conv import ConvSpec, conv
 from stss_cl.network.pack_weights import Packed, pack
 from stss_ref.arrays import Array
 
@@ -171,7 +171,7 @@ class _Layer:
         assert a is not None
         with trial(row):
             side = 0 if isinstance(sizes, Direct) else 4
-            return conv(self._device, "tune", "layer", self._packed, a, b, self._out, stride=self._shape.stride, side=side)
+            return conv(self._device, ConvSpec("tune", "layer", self._packed, self._shape.stride, side=side), a, b, self._out)
 
     def run(self, sizes: Sizes) -> Array:
         """Its output; NaN where nothing was written."""

@@ -13,7 +13,7 @@ from stss_cl.device import amx
 from stss_cl.device.buffers import BFLOAT16, from_bfloat16, padded, read, to_bfloat16, write
 from stss_cl.device.discovery import Properties
 from stss_cl.network import layers
-from stss_cl.network.conv import conv
+from stss_cl.network.conv import ConvSpec, conv
 from stss_cl.network.network import Network
 from stss_cl.network.pack_weights import amx_bias, amx_tiles, pack
 from stss_cl.network.plan import plan
@@ -82,7 +82,7 @@ def test_a_layer_has_the_bits_of_the_units(processor, unoptimised, units, layer)
     for buffer in held:
         write(processor, buffer, random.normal(size=(buffer.height, buffer.width, buffer.channels)))
     out = padded(processor, *size, outputs, BFLOAT16)
-    made = conv(processor, "test", "layer", packed, held[0], (*held, None)[1], out, stride=stride)
+    made = conv(processor, ConvSpec("test", "layer", packed, stride), held[0], (*held, None)[1], out)
     assert made.source.file == "conv_amx.cl"
     made.enqueue(processor.queue)
     shown = [SimpleNamespace(data=h.data, channels=h.channels, columns=h.columns, queue=processor.queue) for h in held]

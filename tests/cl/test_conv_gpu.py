@@ -12,7 +12,7 @@ from stss_cl.device.buffers import constant, padded, read, write
 from stss_cl.device.discovery import open_device
 from stss_cl.device.tuning import Direct, Local, Winograd, built_in, trial
 from stss_cl.network import layer as layer_module
-from stss_cl.network.conv import conv
+from stss_cl.network.conv import ConvSpec, conv
 from stss_cl.network.pack_weights import pack
 from stss_cl.network.tiles import TileList
 from stss_ground.errors import DeviceError
@@ -62,10 +62,8 @@ class Case:
 
     def by(self, row, side=4):
         with trial(row):
-            return conv(
-                self.device, "test", "layer", self.packed, self.inputs[0], (*self.inputs, None)[1], self.out,
-                stride=self.stride, side=side,
-            )  # fmt: skip
+            spec = ConvSpec("test", "layer", self.packed, self.stride, side=side)
+            return conv(self.device, spec, self.inputs[0], (*self.inputs, None)[1], self.out)
 
     def run(self, layer, before=np.nan):
         """What the layer leaves of what was there before; nothing is written beyond the image."""
@@ -191,7 +189,8 @@ def test_three_images_in_one_launch(device, local):
         with trial(replace(built_in(device), winograd=None, local=local)):
             for image in images:
                 first = 24 * (image or 0)
-                conv(device, "test", "layer", case.packed, inputs, None, out, image=image, out_first=first).enqueue(device.queue)
+                spec = ConvSpec("test", "layer", case.packed)
+                conv(device, spec, inputs, None, out, image=image, out_first=first).enqueue(device.queue)
         made.append(read(device, out))
     assert made[0].any()
     np.testing.assert_array_equal(*made)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from conformance.cases import stage_inputs as drawn
 from conformance.cases.planes import SEEDS, motions, sizes
 from stss_cl.device.buffers import inputs_for, read
-from stss_cl.image_space.prepare import FINITE, Prepare
+from stss_cl.image_space.prepare import FINITE, Prepare, PrepareOptions
 from stss_cl.image_space.stages import ImageStages
 from stss_ref.frame import FrameInputs, prepare
 from stss_ref.motion_chain import motion_chain
@@ -164,10 +164,11 @@ def assert_prepared(device, preparation, inputs, size, second="newest", test="fo
 @given(data=st.data(), size=sizes(26))
 def test_prepare(device, test, second, hole_fill, data, size):
     """One frame after another in the same buffers, whole and in strips: nothing of the first is left in the second."""
-    whole = Prepare(device, *size, second=second, test=test, hole_fill=hole_fill)
+    options = PrepareOptions(second=second, test=test, hole_fill=hole_fill)
+    whole = Prepare(device, *size, options)
     strip = inputs_for(device, 8, whole.columns, np.dtype(np.float32))
     tops = range(0, whole.rows, 8)
-    parts = Prepare(device, *size, inputs=strip, second=second, tops=tops, test=test, hole_fill=hole_fill)
+    parts = Prepare(device, *size, options, inputs=strip, tops=tops)
     for _ in range(2):
         inputs = data.draw(frame_inputs(size))
         assert_prepared(device, prepared(whole, inputs), inputs, size, second, test, hole_fill)
@@ -191,7 +192,7 @@ def test_prepare_in_wide_frames(device):
     motions[:, :, 25::50][..., 1] = np.resize(far, motions[:, :, 25::50][..., 1].shape)
     stencils = (random.random((4, *size)) < 0.1).astype(np.float32)
     inputs = noise(size, motions=motions, stencils=stencils, positions=random.random((4, *size, 3)) * 30)
-    assert_prepared(device, prepared(Prepare(device, *size, second="detail"), inputs), inputs, size, "detail")
+    assert_prepared(device, prepared(Prepare(device, *size, PrepareOptions(second="detail")), inputs), inputs, size, "detail")
 
 
 @pytest.mark.parametrize(("test", "motion"), [("footprint", (1.5, 0.75)), ("footprint", (0.0, 0.0)), ("paper", (-3.25, 0.0))])
@@ -211,7 +212,7 @@ def test_prepare_where_hardly_anything_is_a_hole(device, test, motion):
     normals[:, :, 30:45] = 0
     motions = motion + random.uniform(0, 0.2, (5, *size, 2))
     inputs = noise(size, colors=colors, motions=motions, stencils=stencils, normals=normals, positions=positions)
-    preparation = Prepare(device, *size, second="detail", test=test)
+    preparation = Prepare(device, *size, PrepareOptions(second="detail", test=test))
     for _ in range(2):  # nothing that the first marked is left in the second
         assert_prepared(device, prepared(preparation, inputs), inputs, size, "detail", test)
         assert not downloaded(device, preparation.splat, size, np.uint32).any()
@@ -252,7 +253,7 @@ ROOT = 1.5 * 10001**0.5
     ],
 )
 def test_prepare_trusts_eight_pixels_only_where_it_trusts_each(device, test, inputs):
-    preparation = Prepare(device, 16, 24, test=test)
+    preparation = Prepare(device, 16, 24, PrepareOptions(test=test))
     assert_prepared(device, prepared(preparation, inputs), inputs, (16, 24), test=test)
 
 

@@ -19,7 +19,7 @@ from stss_cl.device.buffers import padded, read, write
 from stss_cl.device.discovery import open_device
 from stss_cl.device.tuning import BUILT_IN, built_in_rows, trial
 from stss_cl.image_space.stages import ImageStages
-from stss_cl.network.conv import conv
+from stss_cl.network.conv import ConvSpec, conv
 from stss_cl.network.network import Network
 from stss_cl.network.pack_weights import Packed
 from stss_cl.skip.stream import Stream
@@ -100,7 +100,7 @@ def matrix(device):
             write(device, held, random.random((held.height, held.width, 8), np.float32))
         out = padded(device, *size, 24, dtype)
         with trial(built_in_rows(BUILT_IN).classes["nvidia"]), matrix_units.trial(True):
-            conv(device, "test", "layer", packed, *inputs, out, stride=stride).enqueue(device.queue)
+            conv(device, ConvSpec("test", "layer", packed, stride), *inputs, out).enqueue(device.queue)
         yield read(device, out)
 
 

@@ -16,7 +16,7 @@ from stss_cl.device.tuning import BUILT_IN, Winograd, built_in_rows, trial
 from stss_cl.liveness import drop_tiny, is_tiny
 from stss_cl.network import conv as conv_module
 from stss_cl.network import layers as layers_module
-from stss_cl.network.conv import conv
+from stss_cl.network.conv import ConvSpec, conv
 from stss_cl.network.layers import Layers
 from stss_cl.network.network import Network
 from stss_cl.network.pack_weights import EVERY_SECOND, POINTS, pack, winograd_matrix
@@ -137,9 +137,7 @@ def test_all_convolutions_are_the_references(processor, size, channels, gated, r
         write(processor, buffer, x[..., channel : channel + buffer.channels])
     for side in (0, 2, 4) if stride == 1 else (0, 2):
         with trial(SMALL if vector == "small" else VECTORS[vector]):
-            made = conv(
-                processor, "test", "layer", packed, inputs[0], (*inputs, None)[1], out, stride=stride, relu=relu, side=side
-            )
+            made = conv(processor, ConvSpec("test", "layer", packed, stride, relu, side), inputs[0], (*inputs, None)[1], out)
         made.enqueue(processor.queue)
         by_winograd = side if made.source.file == "winograd.cl" else 0
         want, allowed = bounds(x, weights, stride, by_winograd, gated=gated)
@@ -161,9 +159,8 @@ def test_rounding_stays_within_a_tile(processor, at, gated, stride, seed):
         for value in (x[at], 1 - x[at]):
             x[at] = value
             write(processor, source, x)
-            conv(processor, "test", "layer", packed, source, None, out, stride=stride, relu=False, side=side).enqueue(
-                processor.queue
-            )
+            spec = ConvSpec("test", "layer", packed, stride, relu=False, side=side)
+            conv(processor, spec, source, None, out).enqueue(processor.queue)
             images.append(read(processor, out))
         differs = (images[0] != images[1]).any(axis=-1)
         assert differs[far <= 1].all()
@@ -351,7 +348,7 @@ def test_what_is_subnormal_is_0(processor, side):
     x, out = (padded(processor, 8, 8, 24, np.dtype(np.float32)) for _ in range(2))
     for value, is_zero in ((2.0**-70, True), (2.0**-50, False)):
         write(processor, x, np.where(np.arange(24) == 5, np.float32(value), np.zeros((8, 8, 24), np.float32)))
-        conv(processor, "test", "layer", packed, x, None, out, side=side).enqueue(processor.queue)
+        conv(processor, ConvSpec("test", "layer", packed, side=side), x, None, out).enqueue(processor.queue)
         assert (read(processor, out) == 0).all() == is_zero
 
 
