@@ -133,13 +133,13 @@ def test_what_departs_from_the_plain_kernel_is_refused(device, shape, monkeypatc
     short, wrong, good = Direct(2, shape.outputs // 8, 1), Direct(4, 1, 1), Direct(2, 1, 1)
     real = trials.conv
 
-    def faulty(device, stage, name, packed, *args, **kwargs):
+    def faulty(device, spec, *args, **kwargs):
         sizes = tuning_for(device).direct.get(shape.outputs)
         if sizes == wrong:
-            bias = packed.bias.copy()
+            bias = spec.packed.bias.copy()
             bias[-1] += 0.01
-            packed = replace(packed, bias=bias)
-        launch = real(device, stage, name, packed, *args, **kwargs)
+            spec = replace(spec, packed=replace(spec.packed, bias=bias))
+        launch = real(device, spec, *args, **kwargs)
         if sizes == short:
             launch.set(count=whole(device, launch.tiling.rows - 1, launch.tiling.columns).count)
         return launch
