@@ -30,9 +30,11 @@ def path_of(name: str, value: Any) -> Path:
     """A path that the caller gave as text or as a path.
 
     Raises:
-        InputError: it is neither, or has a character that no file's name has.
+        InputError: it is neither, is empty, or has a character that no file's name has.
     """
     require_kind(name, value, (str, os.PathLike), "a path")
+    if not os.fspath(value):
+        raise InputError(f"{name}: expected a path, got an empty text")
     path = Path(value)
     if "\0" in str(path):
         raise InputError(f"{name}: {str(path)!r}: expected a path without the character NUL")

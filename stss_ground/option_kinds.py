@@ -20,11 +20,19 @@ MAX_SEED = 2**32 - 1
 MAX_SECONDS = 7 * 24 * 3600
 
 
-class ReadPath(click.Path):
-    """A file or a folder that is read."""
+class _Place(click.Path):
+    """A path that is not empty: a script's variable that is not set would otherwise mean the current folder."""
 
     def __init__(self) -> None:
         super().__init__(path_type=Path)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The path; an empty one is the user's mistake."""
+        return super().convert(_given(self, value, param, ctx), param, ctx)
+
+
+class ReadPath(_Place):
+    """A file or a folder that is read."""
 
     def reads(self, value: Path) -> list[Path]:
         """The files that are read."""
@@ -37,8 +45,8 @@ class ReadName(click.ParamType):  # pyright: ignore[reportMissingTypeArgument]
     name = "text"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        """The text as it is."""
-        return str(value)
+        """The text as it is; an empty one is the user's mistake."""
+        return str(_given(self, value, param, ctx))
 
     def reads(self, value: str) -> list[Path]:
         """The path that is read, if it is a file."""
@@ -57,18 +65,12 @@ class Program(ReadName):
         return paths
 
 
-class WrittenFile(click.Path):
+class WrittenFile(_Place):
     """A file that is written, or replaced."""
 
-    def __init__(self) -> None:
-        super().__init__(path_type=Path)
 
-
-class WrittenFolder(click.Path):
+class WrittenFolder(_Place):
     """A folder that files are written into. The command compares them with what it reads: only it knows their names."""
-
-    def __init__(self) -> None:
-        super().__init__(path_type=Path)
 
 
 class Number(click.FloatRange):
@@ -110,6 +112,12 @@ class Size(click.ParamType):  # pyright: ignore[reportMissingTypeArgument]
             most = f"{self._most_side} a side and {self._most_pixels} pixels"
             self.fail(f"expected width x height such as 1280x720, at most {most}, got {value!r}", param, ctx)
         return height, width
+
+
+def _given(kind: click.ParamType[Any], value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+    if value == "":
+        kind.fail("expected a name, got an empty text; is a variable of a script not set?", param, ctx)
+    return value
 
 
 def _words(text: str) -> list[str]:

@@ -3,24 +3,38 @@
 
 from __future__ import annotations
 
+import sys
 from functools import partial
 from pathlib import Path
 
 import click
 
+from stss.cli.options import FrameRange
 from stss.run.gather import gather as gather_parts
 from stss_ground.commands import Subcommand
 from stss_ground.option_kinds import ReadPath, WrittenFolder
 from stss_ground.progress import track
 from stss_ground.terminal import Terminal, echo
 
+LISTED = 8
+"""Most frame numbers that a line lists."""
+
 
 @click.command(cls=Subcommand)
 @click.argument("parts", type=ReadPath())
 @click.option("-o", "--out", type=WrittenFolder(), required=True, help="Folder for the frames.")
 @click.option("--sequence", type=ReadPath(), help="The frames that the parts were made from: nothing is written there.")
+@click.option("--frames", type=FrameRange(), help="First and last frame that must be there then  [default: those that are]")
 @click.option("--overwrite", is_flag=True, help="Replace what an earlier run wrote.")
-def gather(parts: Path, out: Path, sequence: Path | None, overwrite: bool) -> None:
-    """Move the frames of runs with --frames, each in a folder below PARTS, into one folder, as one run would have left it."""
+def gather(parts: Path, out: Path, sequence: Path | None, frames: tuple[int, int] | None, overwrite: bool) -> None:
+    """Move the frames of runs with --frames, each in a folder below PARTS, into one folder, as one run would have left it.
+
+    Ends with status 1 where a frame is missing.
+    """
     bar = partial(track, console=Terminal(stderr=True), unit="parts")
-    echo(f"{out}: frames of {gather_parts(parts, out, sequence, overwrite=overwrite, track=bar)} parts")
+    found = gather_parts(parts, out, sequence, frames=frames, overwrite=overwrite, track=bar)
+    echo(f"{out}: {found.frames} frames, gathered from {found.parts} part{'s' * (found.parts != 1)}")
+    if found.missing:
+        listed = ", ".join(map(str, found.missing[:LISTED])) + f", ... ({len(found.missing)} in all)" * (len(found.missing) > LISTED)
+        echo(f"missing: frames {listed}: in no part and not in {out}; run their task again, then gather once more", err=True)
+    sys.exit(1 if found.missing else 0)

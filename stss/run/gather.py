@@ -9,6 +9,7 @@ import re
 from collections.abc import Generator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import NamedTuple
 
 from stss.run.job import folder_of
 from stss_ground.errors import InputError
@@ -22,9 +23,32 @@ from stss_ground.regular_file import read_regular
 MARK = "stss-gathered.sha256"
 """Name of a list beside the parts, there while they are removed: the files that all parts held, which the folder has by then."""
 _LINE = re.compile(r"([0-9a-f]{64})  ([^/]+)/(.+)")
+_FRAME = re.compile(r"frame\.(-?\d+)\.\w+")
 
 
-def gather(parts: Path, out: Path, sequence: Path | None = None, *, overwrite: bool = False, track: Track = iter) -> int:
+class Gathered(NamedTuple):
+    """What a folder holds after its parts were gathered.
+
+    Attributes:
+        parts: how many there were.
+        frames: how many frames the folder has.
+        missing: the frames that it should have and has not.
+    """
+
+    parts: int
+    frames: int
+    missing: tuple[int, ...]
+
+
+def gather(
+    parts: Path,
+    out: Path,
+    sequence: Path | None = None,
+    *,
+    frames: tuple[int, int] | None = None,
+    overwrite: bool = False,
+    track: Track = iter,
+) -> Gathered:
     """Move the files of all parts into one folder, as one run would have left it. After an interrupt it can be repeated.
 
     No file of a part is removed before all files of all parts are in the folder and on the disk. From then on `MARK` lies beside the
@@ -34,11 +58,9 @@ def gather(parts: Path, out: Path, sequence: Path | None = None, *, overwrite: b
         parts: holds a folder for each part. A part is a folder with a list, and no link; what else is there stays.
         out: the folder to write to; the rules for a run's folder hold.
         sequence: the folder or pattern of the frames that the parts were made from: nothing is written to it.
+        frames: first and last frame that the folder should have then; None: the first and the last that it has.
         overwrite: replace the files of an earlier run.
         track: may show how many parts are looked at, and then moved.
-
-    Returns:
-        The number of parts.
 
     Raises:
         InputError: there is no part, a file of one is not as its list says, two parts differ in a file, a process writes to one, or
@@ -54,9 +76,9 @@ def gather(parts: Path, out: Path, sequence: Path | None = None, *, overwrite: b
     target = folder_of(out)
     inputs = [path for folder in folders for path in folder_of(folder).present()]
     if sequence is not None:
-        frames = sequence if sequence.is_dir() else sequence.parent
-        with tell_errors(frames):
-            inputs += [path for path in frames.iterdir() if path.is_file()]
+        source = sequence if sequence.is_dir() else sequence.parent
+        with tell_errors(source):
+            inputs += [path for path in source.iterdir() if path.is_file()]
     require_places(folders=[target], inputs=inputs)
     with locked(parts), target.open(refusal=None):
         remove_unfinished(parts)
@@ -77,7 +99,9 @@ def gather(parts: Path, out: Path, sequence: Path | None = None, *, overwrite: b
         (parts / MARK).unlink(missing_ok=True)
     with suppress(OSError):
         parts.rmdir()
-    return len(folders)
+    there = {int(match[1]) for name in target.sums() if (match := _FRAME.fullmatch(name))}
+    first, last = frames or (min(there, default=0), max(there, default=-1))
+    return Gathered(len(folders), len(there), tuple(n for n in range(first, last + 1) if n not in there))
 
 
 def _parts_in(parts: Path) -> list[Path]:

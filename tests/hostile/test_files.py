@@ -214,6 +214,25 @@ def test_no_command_writes_what_it_reads(tmp_path, names, command, read, written
         refused_untouched(tmp_path, (*names, *words), "the same file as", "which is read")
 
 
+@pytest.mark.parametrize(
+    ("names", "command", "place"),
+    [
+        (names, command, place)
+        for names, command in commands()
+        for place in command.params
+        if isinstance(place.type, (ReadPath, ReadName, WrittenFile, WrittenFolder))
+    ],
+    ids=lambda v: getattr(v, "name", None) or " ".join(v),
+)
+def test_an_empty_name_is_not_the_current_folder(tmp_path, monkeypatch, names, command, place):
+    """A script's ``-o "$OUT"`` without an OUT would write there, and with --overwrite remove."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "frame.0000.exr").write_bytes(b"mine")
+    given = {p: tmp_path / "no" for p in command.params if p.required} | {place: ""}
+    words = [word for p, v in given.items() for word in ([v] if isinstance(p, click.Argument) else [p.opts[-1], v])]
+    refused_untouched(tmp_path, (*names, *words), "expected a name, got an empty text")
+
+
 def test_overwrite_removes_nothing_before_the_new_frames_are_there(out, demo, tmp_path):
     """A frame in the middle cannot be read: the frames before it are new, the frames behind it are from the earlier run."""
     frames = shutil.copytree(demo / "frames", tmp_path / "frames")

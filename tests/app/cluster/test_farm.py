@@ -3,6 +3,7 @@
 import os
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -18,6 +19,7 @@ from stss.weights.file import BILINEAR, load
 from stss_ground.errors import InputError
 from stss_ground.output.folder import SUMS
 from tests.app.conftest import PLAIN, files
+from tests.hostile.cases import call
 
 ROOT = Path(__file__).parents[3]
 TEMPLATE = ROOT / "examples" / "farm" / "stss.openjd.yaml"
@@ -107,7 +109,7 @@ def test_parts_make_what_one_run_makes(parts, frames, tmp_path):
     out = tmp_path / "out"
     moved = [(parts / "0" / name) for name in ("frame.0000.exr", "holes/frame.0001.png")]
     whole = files(parts / "0")
-    assert gather(parts, out, frames) == 2
+    assert gather(parts, out, frames) == (2, 8, ())
     assert files(out) == files(tmp_path / "one")
     assert not parts.exists()
     for name, data in whole.items():
@@ -122,6 +124,35 @@ def test_parts_make_what_one_run_makes(parts, frames, tmp_path):
     assert files(out) == files(tmp_path / "one")
     assert files(parts) == {"0/notes.txt": b"mine"}
     assert (parts / "mine").is_dir()
+
+
+@pytest.mark.parametrize(
+    ("gone", "asked", "missing"),
+    [
+        ("1", [], ""),
+        ("1", ["--frames", "0:7"], "missing: frames 5, 6, 7: in no part"),
+        ("0", ["--frames", "0:7"], "missing: frames 0, 1, 2, 3, 4: in no part"),
+        ("", ["--frames", "0:7"], ""),
+    ],
+)
+def test_a_task_that_never_ran_is_named(parts, frames, tmp_path, gone, asked, missing):
+    if gone:
+        shutil.move(parts / gone, tmp_path / "late")
+    words = ("gather", parts, "-o", tmp_path / "out", "--sequence", frames, *asked)
+    done = call(*words)
+    assert done.returncode == bool(missing)
+    assert missing in done.stderr
+    assert ("missing" in done.stderr) == bool(missing)
+    if missing:  # the task runs again
+        shutil.move(tmp_path / "late", parts / gone)
+        assert call(*words).returncode == 0
+        assert files(tmp_path / "out") == files(tmp_path / "one")
+
+
+def test_gaps_are_named_without_a_range(frames, tmp_path):
+    for name, numbers in (("0", (0, 1)), ("1", (6, 7))):
+        plain(frames, tmp_path / "parts" / name, numbers)
+    assert gather(tmp_path / "parts", tmp_path / "out", frames).missing == (2, 3, 4, 5)
 
 
 def write(path):
