@@ -49,7 +49,7 @@ def read_toml(path: Path, error: Callable[[str], Exception]) -> Table:
 class Table:
     """A TOML table whose keys are taken one by one; a key that is left at the end is unknown."""
 
-    def __init__(self, path: Path, prefix: str, error: Callable[[str], Exception], table: dict[str, Any]):
+    def __init__(self, path: Path | str, prefix: str, error: Callable[[str], Exception], table: dict[str, Any]):
         self.path, self.prefix, self.error, self.rest = path, prefix, error, dict(table)
 
     def fail(self, key: str, expected: str, value: object) -> Exception:

@@ -159,7 +159,9 @@ class Values:
         if (share := self._share("off the frame")) > 0.5:
             lines.append(("warning", f"motion: {share:.1%} of the pixels move by more than the frame, or non-finite"))
         if self._most.get("motion") == 0:
-            lines.append(("note", "motion: 0 everywhere; expected only where neither camera nor objects move"))
+            hint = sequence.profile.hints.get("motion")
+            text = "motion: 0 everywhere; expected only where neither camera nor objects move"
+            lines.append(("note", f"{text}; else {hint}" if hint else text))
         return lines + self._merged_lines(sequence) + self._stencil_lines()
 
     def _merged_lines(self, sequence: Sequence) -> list[Line]:

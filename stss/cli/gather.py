@@ -35,6 +35,8 @@ def gather(parts: Path, out: Path, sequence: Path | None, frames: tuple[int, int
     found = gather_parts(parts, out, sequence, frames=frames, overwrite=overwrite, track=bar)
     echo(f"{out}: {found.frames} frames, gathered from {found.parts} part{'s' * (found.parts != 1)}")
     if found.missing:
-        listed = ", ".join(map(str, found.missing[:LISTED])) + f", ... ({len(found.missing)} in all)" * (len(found.missing) > LISTED)
+        listed = ", ".join(map(str, found.missing[:LISTED])) + f", ... ({len(found.missing)} in all)" * (
+            len(found.missing) > LISTED
+        )
         echo(f"missing: frames {listed}: in no part and not in {out}; run their task again, then gather once more", err=True)
     sys.exit(1 if found.missing else 0)

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -32,7 +32,15 @@ class _Plane(NamedTuple):
     hint: str = ""
 
 
-_UNIT = "divide 8-bit values by 255"
+def float_hint(dtype: np.dtype[Any]) -> str:
+    """How to make floating-point numbers of a plane that has none."""
+    most = {"uint8": "8-bit values by 255", "uint16": "16-bit values by 65535"}.get(
+        dtype.name, "values by the one that stands for 1"
+    )
+    return f"divide {most}"
+
+
+_UNIT = float_hint(np.dtype(np.uint8))
 _PLANES = {
     "color": _Plane(3, hint="replace NaN and Inf before the call"),
     "motion": _Plane(2, otherwise="any"),
@@ -77,9 +85,10 @@ def require_unmasked(where: str, array: object) -> None:
 
 
 def require_distinct(where: str, numbers: Array, floats: Array) -> None:
-    """Raise InputError where ``numbers`` of objects run together in ``floats``, their 32-bit floats."""
-    large = numbers > WHOLE
-    bad = large & (floats.astype(np.float64) != numbers)
+    """Raise InputError where ``numbers`` of objects run together in ``floats``, their 32-bit floats; narrower floats cannot."""
+    if np.issubdtype(numbers.dtype, np.floating) and numbers.dtype.itemsize <= floats.dtype.itemsize:
+        return
+    bad = (numbers > WHOLE) & (floats.astype(np.float64) != numbers)
     if bad.any():
         raise _error(
             where, f"whole numbers up to {WHOLE}, beyond which 32-bit floats merge them", numbers, bad, _PLANES["stencil"]
@@ -98,7 +107,9 @@ def _check(where: str, array: Array, shape: tuple[int, ...], plane: _Plane) -> N
     if not isinstance(array, np.ndarray):  # pyright: ignore[reportUnnecessaryIsInstance]
         raise InputError(f"{where}: expected an array {shape}, found {type(array).__name__}")
     if array.dtype.kind not in ("fiub" if where.endswith(": stencil") else "f"):
-        kind, hint = ("numbers", plane.hint) if where.endswith(": stencil") else ("floating-point numbers", _UNIT)
+        kind, hint = (
+            ("numbers", plane.hint) if where.endswith(": stencil") else ("floating-point numbers", float_hint(array.dtype))
+        )
         raise InputError(f"{where}: expected {kind}, found {array.dtype}; {hint}")
     if array.shape != shape:
         raise InputError(f"{where}: expected shape {shape}, found {array.shape}")

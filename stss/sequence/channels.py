@@ -55,18 +55,20 @@ def _in_layer(header: Header, profile: Profile, buffers: Collection[str], layer:
     sources: dict[str, Source] = {}
     for buffer in buffers:
         for names in profile.channels[buffer]:
-            full = names if layer is None else tuple(name.replace("{layer}", layer) for name in names)
+            full = tuple(name.replace("{layer}.", "" if layer is None else f"{layer}.") for name in names)
             if there.issuperset(full):
                 sources[buffer] = Source(header.path, full)
                 break
     return sources
 
 
-def missing_buffer(profile: Profile, buffer: str, where: object, there: Collection[str]) -> InputError:
-    """The error for a buffer that no file has: the names expected, the channels found (``there``), what to do."""
-    names_wanted = " or ".join(", ".join(names) for names in profile.channels[buffer]) or "a constant"
-    ending = profile.file_of(buffer)
-    file = f" in a file NAME{ending}.NNNN.exr" if ending else ""
-    hint = f"; {profile.hints[buffer]}" if buffer in profile.hints else ""
-    channels = ", ".join(there) or "nothing"
-    return InputError(f"{where}: no {buffer}: profile {profile.name} expects {names_wanted}{file}; found {channels}{hint}")
+def missing_buffers(profile: Profile, buffers: Collection[str], where: object, there: Collection[str]) -> InputError:
+    """The error for buffers that no file has: of each the names expected and what to do; the channels found (``there``)."""
+    parts: list[str] = []
+    for buffer in buffers:
+        names_wanted = " or ".join(", ".join(names) for names in profile.channels[buffer]) or "a constant"
+        ending = profile.file_of(buffer)
+        file = f" in a file NAME{ending}.NNNN.exr" if ending else ""
+        hint = f" ({profile.hints[buffer]})" if buffer in profile.hints else ""
+        parts.append(f"no {buffer}: profile {profile.name} expects {names_wanted}{file}{hint}")
+    return InputError(f"{where}: {'; '.join(parts)}; found {', '.join(there) or 'nothing'}")

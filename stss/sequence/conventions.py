@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from stss.frames.buffers import Buffers
-from stss.frames.check_buffers import require_distinct, require_unmasked
+from stss.frames.check_buffers import ROUNDING, float_hint, require_distinct, require_unmasked
 from stss.sequence.camera import CameraPose
 from stss.sequence.profiles import BUFFERS, CONSTANTS, DepthRule, MotionRule, NormalRule, Profile, load_profile
 from stss_ground.arguments import require_kind
@@ -32,7 +32,7 @@ def convert(
 
     Args:
         number: the display frame.
-        planes: the fields of `Buffers` in the profile's conventions. ``color`` may be missing: the frame was not rendered; ``nov``
+        planes: the fields of `Buffers` in the profile's conventions. ``color`` may be missing or None: the frame was not rendered; ``nov``
             where there is a camera; ``stencil``, ``roughness`` and ``metallic`` may be one number. Other names are carried along.
         profile: a built-in profile's name, a TOML file, or one from `load_profile`.
         camera: (3,) its position or (4, 4) world to camera, for column vectors; in scene units.
@@ -48,12 +48,9 @@ def convert(
     require_kind(f"frame {number}: planes", planes, Mapping, "names and planes")
     table = profile if isinstance(profile, Profile) else load_profile(profile)
     where = None if camera is None else _pose(camera)
-    if "depth" not in planes:
-        raise InputError(f"frame {number}: no depth; expected an array (H, W)")
-    shape = np.shape(planes["depth"])[:2]
-    buffers: dict[str, Array] = {}
-    for name, channels in BUFFERS.items():
-        if name not in planes:
+    originals: dict[str, Array] = {}
+    for name in BUFFERS:
+        if planes.get(name) is None:
             if name == "color" or (name == "nov" and where is not None):
                 continue
             raise InputError(f"frame {number}: no {name}; expected an array" + (", or a camera" if name == "nov" else ""))
@@ -62,18 +59,22 @@ def convert(
         if original.dtype.kind not in "fiub":
             raise InputError(f"frame {number}: {name}: expected numbers, found {original.dtype}")
         if original.ndim and original.dtype.kind != "f" and name != "stencil":
-            raise InputError(
-                f"frame {number}: {name}: expected floating-point numbers, found {original.dtype}; divide 8-bit values by 255"
-            )
-        plane = original.astype(np.float32)
+            hint = float_hint(original.dtype)
+            raise InputError(f"frame {number}: {name}: expected floating-point numbers, found {original.dtype}; {hint}")
+        originals[name] = original
+    shape = _size(number, originals)
+    buffers: dict[str, Array] = {}
+    for name, original in originals.items():
+        channels, plane = BUFFERS[name], original.astype(np.float32)
         if name == "stencil":
             require_distinct(f"frame {number}: {name}", original, plane)
         if plane.ndim == 0 and name in CONSTANTS:
             plane = np.full(shape, plane)
         plane = plane[..., None] if plane.ndim == 2 else plane
         if plane.shape != (*shape, channels):
-            raise InputError(f"frame {number}: {name}: expected shape {(*shape, channels)}, found {np.shape(planes[name])}")
+            raise InputError(f"frame {number}: {name}: expected shape {(*shape, channels)}, found {original.shape}")
         buffers[name] = plane
+    require_depth_buffer(f"frame {number}", buffers["depth"], table.depth)
     depth = to_specification(buffers, table, where)
     single = {name: buffers[name][..., 0] for name in ("stencil", "nov", "roughness", "metallic")}
     others: dict[str, Array] = {}
@@ -85,6 +86,30 @@ def convert(
             others[name] = original.astype(np.float32)
     several = {name: buffers[name] for name in ("motion", "normal", "position", "base_color")}
     return Buffers(number, buffers.get("color"), depth=depth, **single, **several, cut=cut, carried=others)
+
+
+def _size(number: int, planes: Mapping[str, Array]) -> tuple[int, int]:
+    """(H, W) of most of the planes, so that one of another size is the one that is named; depth's where two sizes are as frequent."""
+    sizes = [planes["depth"].shape[:2]]
+    sizes += [plane.shape[:2] for name, plane in planes.items() if plane.ndim >= 2 and (*plane.shape, 1)[2] == BUFFERS[name]]
+    height, width = max(sizes, key=sizes.count) if planes["depth"].ndim >= 2 else (0, 0)
+    if not height * width:
+        raise InputError(f"frame {number}: depth: expected an array (H, W), found shape {planes['depth'].shape}")
+    return height, width
+
+
+def require_depth_buffer(where: str, stored: Array, rule: DepthRule) -> None:
+    """Raise InputError where the profile says that depth is a depth buffer's, and finite values (H, W, 1) are not: 0 to 1."""
+    if rule.kind != "device":
+        return
+    with np.errstate(invalid="ignore"):
+        bad = np.isfinite(stored) & ((stored < -ROUNDING) | (stored > 1 + ROUNDING))
+    if bad.any():
+        y, x, _ = np.argwhere(bad)[0]
+        raise InputError(
+            f"{where}: depth: expected a depth buffer's values, from 0 to 1, found {bad.sum()} others, the first {stored[y, x, 0]:g} at "
+            f'(y={y}, x={x}); the profile says kind = "device", linear depth is kind = "planar"'
+        )
 
 
 def _pose(value: Array) -> CameraPose:
@@ -150,11 +175,12 @@ def linear_depth(depth: Plane, rule: DepthRule) -> Plane:
     d = depth.astype(np.float64)
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         if rule.kind == "device":
+            missed = ~np.isfinite(d)
             d = np.clip(d, 0, 1)
             d = d if rule.reversed else 1 - d
             # d is 1 at the near plane, 0 at the far one; 1 / z is linear in it.
             d = 1 / (d / rule.near + (1 - d) / rule.far)
-            hit = np.isfinite(d) & (d < rule.far * (1 - 1e-6))
+            hit = np.isfinite(d) & (d < rule.far * (1 - 1e-6)) & ~missed
         else:
             hit = np.isfinite(d) & (d > 0) & (d < rule.background)
     return np.where(hit, d, np.inf).astype(np.float32)

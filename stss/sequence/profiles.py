@@ -103,7 +103,7 @@ class Profile:
         title: its description in one line.
         path: its TOML file.
         channels: buffer -> alternatives in order of preference, each the full names of the buffer's channels.
-            ``{layer}`` stands for the text before the last two dots.
+            ``{layer}`` stands for the text before the last two dots; for nothing, with its dot, where no name has two.
         files: buffer -> what the name of its file ends with before the frame number; the other buffers share a file.
         motion: how motion is stored.
         depth: how depth is stored.
@@ -142,7 +142,7 @@ def profile_names() -> tuple[str, ...]:
 
 
 def load_profile(name_or_path: str | Path, **changes: Any) -> Profile:
-    """Load a built-in profile by name, or a TOML file by path.
+    """Load a built-in profile by name, or a TOML file by path; a file that has a ``base`` changes that built-in profile.
 
     Args:
         name_or_path: the name or the path.
@@ -160,11 +160,23 @@ def load_profile(name_or_path: str | Path, **changes: Any) -> Profile:
         if not path.exists():
             raise InputError(f"profile {text}: expected one of {', '.join(profile_names())} or a TOML file")
     table = read_toml(path, InputError)
-    for key, value in changes.items():
-        old = table.rest.get(key)
-        both = isinstance(old, dict) and isinstance(value, dict)
-        table.rest[key] = _changed(cast("dict[str, Any]", old), cast("dict[str, Any]", value)) if both else value
+    if "base" in table.rest:
+        base = table.choice("base", profile_names())
+        of_base = read_toml(_TABLES / f"{base}.toml", InputError).rest
+        table.rest = _merged({**of_base, "name": path.stem, "title": f"{path.stem}, changed from {base}"}, table.rest)
+    if changes:
+        table.path, table.rest = f"profile {text} as changed", _merged(table.rest, changes)
     return _profile(path, table)
+
+
+def _merged(top: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Keys and tables, of which a change keeps what it does not name."""
+    merged = dict(top)
+    for key, value in changes.items():
+        old = merged.get(key)
+        both = isinstance(old, dict) and isinstance(value, dict)
+        merged[key] = _changed(cast("dict[str, Any]", old), cast("dict[str, Any]", value)) if both else value
+    return merged
 
 
 def _changed(old: dict[str, Any], change: dict[str, Any]) -> dict[str, Any]:
@@ -195,7 +207,7 @@ def _profile(path: Path, top: Table) -> Profile:
         table.end(", ".join(BUFFERS))
     constants.end(", ".join(CONSTANTS))
     camera.end("attributes")
-    top.end("name, title, units_per_cm, color_domain, depth_normalisation and the tables "
+    top.end("name, title, base, units_per_cm, color_domain, depth_normalisation and the tables "
             "channels, motion, depth, normal, files, camera, constants, hints")  # fmt: skip
     return profile
 

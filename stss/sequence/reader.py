@@ -18,8 +18,8 @@ from stss.images.headers import MAX_BYTES, MAX_SIDE, Header, read_header
 from stss.images.windows import PixelWindow, union
 from stss.sequence.background import Background, background_motion, projection_of
 from stss.sequence.camera import CameraPose, camera_of, read_cameras
-from stss.sequence.channels import Source, find_buffers, missing_buffer
-from stss.sequence.conventions import linear_depth, to_specification
+from stss.sequence.channels import Source, find_buffers, missing_buffers
+from stss.sequence.conventions import linear_depth, require_depth_buffer, to_specification
 from stss.sequence.find_files import find_frames
 from stss.sequence.profiles import BUFFERS, CONSTANTS, Profile, load_profile, profile_names
 from stss.sequence.projection import Projection
@@ -170,12 +170,12 @@ class Sequence:
     def _load(self, number: int, *, color: bool = True, also: Collection[str] = ()) -> Buffers:
         """The frame with the motion that its files have."""
         frame = self._frame(number)
-        for buffer in BUFFERS:
-            if not (buffer == "color" or self.has(number, buffer)):
-                there = sorted({name for path in frame.files for name in read_header(path).channels})
-                raise missing_buffer(self.profile, buffer, self._where(number), there)
+        if gone := [buffer for buffer in BUFFERS if buffer != "color" and not self.has(number, buffer)]:
+            there = sorted({name for path in frame.files for name in read_header(path).channels})
+            raise missing_buffers(self.profile, gone, self._where(number), there)
         others = self._carried(number, also) if color and "color" in frame.sources else {}
         arrays, carried = read_stored(frame, self.canvas, self.constants, others, color=color)
+        require_depth_buffer(self._where(number), arrays["depth"], self.profile.depth)
         outside = self._outside(frame)
         if outside is not None:
             arrays["depth"] = np.where(outside[..., None], np.float32(np.nan), arrays["depth"])
@@ -456,12 +456,10 @@ def _canvas(path: Path, display: PixelWindow, frames: Iterable[RawFrame]) -> Pix
 
 
 def _require_buffers(path: Path, profile: Profile, frames: Mapping[int, RawFrame], constants: Mapping[str, float]) -> None:
-    """Raise InputError if no frame at all has some buffer: then the profile or the render is wrong, and no file is missing."""
+    """Raise InputError if no frame at all has some buffers: then the profile or the render is wrong, and no file is missing."""
     assert set(constants) <= set(CONSTANTS)
-    for buffer in BUFFERS:
-        if buffer in constants or any(buffer in frame.sources for frame in frames.values()):
-            continue
-        if buffer == "nov":  # it follows from the camera, and that from position and depth
-            continue
+    found = {*constants, *(buffer for frame in frames.values() for buffer in frame.sources)}
+    gone = [buffer for buffer in BUFFERS if buffer not in found and buffer != "nov"]  # which follows from position and depth
+    if gone:
         there = sorted({name for file in next(iter(frames.values())).files for name in read_header(file).channels})
-        raise missing_buffer(profile, buffer, path, there)
+        raise missing_buffers(profile, gone, path, there)

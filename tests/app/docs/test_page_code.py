@@ -8,6 +8,7 @@ import re
 import shlex
 import stat
 import sys
+import tempfile
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -346,6 +347,7 @@ KEYS = {
     "[normal]": lambda: (
         world_normal(stored(1, 3), replace(stss.load_profile("stss").normal, bias=0.5, scale=2))[0].tolist() == [[[1, 1, 1]]]
     ),
+    "base": lambda: loaded('base = "mitsuba"\nunits_per_cm = 2').depth.kind == "ray",
     "[files]": lambda: stss.load_profile("stss", files={"motion": "MV"}).file_of("motion") == "MV",
     "[camera]": lambda: stss.load_profile("stss", camera={"attributes": [["x", "y", "z"]]}).camera == (("x", "y", "z"),),
     "[constants]": lambda: stss.load_profile("stss", constants={"stencil": 0}).constants == {"stencil": 0},
@@ -355,6 +357,21 @@ KEYS = {
 
 def engine_of(units_per_cm):
     return {**right(0), "position": right(0)["position"] * units_per_cm}
+
+
+def loaded(text):
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "mine.toml"
+        path.write_text(text)
+        return stss.load_profile(path)
+
+
+def test_the_profile_of_the_page_is_that_of_the_engines_page():
+    """One engine's conventions as a file and as a call."""
+    file = loaded(re.search(r"```toml\n(base.*?)```", page("profiles.md"), re.S)[1])
+    place = {}
+    exec(re.search(r"import math\n\nimport stss\n\nrules = .*?\n\)", page("engines.md"), re.S)[0], place)
+    assert replace(place["rules"], name=file.name, title=file.title, path=file.path) == file
 
 
 def test_keys_of_a_profile():

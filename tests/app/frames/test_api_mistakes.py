@@ -185,3 +185,61 @@ def test_options_of_a_wrong_kind_are_refused_without_a_backend():
     for options in ({"memory_limit": "x"}, {"memory_limit": True}, {"device": 5}, {"precision": []}, {"skip": None}):
         with pytest.raises(InputError):
             ComputeOptions(**options)
+
+
+MISTAKES = {  # planes that are not as expected -> what the error says
+    "depth of another size": ({"depth": lambda p: p[:-1]}, "depth: expected shape"),
+    "motion of the display's size": ({"motion": lambda p: np.repeat(p, 2, 0)}, "motion: expected shape"),
+    "depth that is a number": ({"depth": lambda p: 1.0}, r"depth: expected an array \(H, W\), found shape \(\)"),
+    "no pixels": (dict.fromkeys(planes(), lambda p: p[:0]), "depth: expected an array"),
+    "depth of 24 bits": (
+        {"depth": lambda p: np.nan_to_num(p, posinf=0).astype(np.uint32)},
+        "divide values by the one that stands for 1",
+    ),
+    "roughness of 16 bits": ({"roughness": lambda p: p.astype(np.uint16)}, "divide 16-bit values by 65535"),
+    "roughness of 8 bits": ({"roughness": lambda p: p.astype(np.uint8)}, "divide 8-bit values by 255"),
+}
+
+
+@pytest.mark.parametrize("name", MISTAKES)
+def test_the_plane_that_is_wrong_is_the_one_that_is_named(name):
+    changes, said = MISTAKES[name]
+    with pytest.raises(InputError, match=said):
+        stss.convert(0, planes(**{plane: change(planes()[plane]) for plane, change in changes.items()}))
+
+
+def test_a_frame_that_was_not_rendered_has_no_color_or_none():
+    without = planes()
+    del without["color"]
+    assert stss.convert(0, planes(color=None)).color is stss.convert(0, without).color is None
+
+
+DEVICE = {"kind": "device", "near": 0.1, "far": np.inf, "reversed": True}
+
+
+@pytest.mark.parametrize("value", [2.0, -0.5, 1.01])
+def test_linear_depth_is_no_depth_buffer(value):
+    """A depth of 20 m would count as the near plane, and -1 as the sky."""
+    depth = np.full(SIZE, 0.5, np.float32)
+    depth[1, 2] = value
+    with pytest.raises(
+        InputError, match=rf"depth buffer's values, from 0 to 1, found 1 others, the first {value:g} at \(y=1, x=2\)"
+    ):
+        stss.convert(0, planes(depth=depth), stss.load_profile("stss", depth=DEVICE))
+
+
+@pytest.mark.parametrize("reverse", [True, False])
+def test_a_depth_buffers_value_that_is_not_finite_is_nothing_hit(reverse):
+    depth = np.full(SIZE, 0.5, np.float32)
+    depth[0, :3] = np.inf, -np.inf, np.nan
+    found = stss.convert(0, planes(depth=depth), stss.load_profile("stss", depth={**DEVICE, "reversed": reverse})).depth
+    assert np.isinf(found[0, :3]).all()
+    assert np.isfinite(found[1:]).all()
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("kind", [np.float16, np.float32, np.float64, np.int32])
+def test_object_numbers_of_each_kind_cause_no_warning(kind):
+    stencil = np.full(SIZE, 300).astype(kind)
+    stss.check(buffers(stencil=stencil))
+    stss.convert(0, planes(stencil=stencil))

@@ -1,6 +1,7 @@
 """Profiles: each convention spelled out, each mistake in a file named."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import OpenImageIO as oiio  # noqa: N813
@@ -63,6 +64,73 @@ def test_each_mistake_is_named(tmp_path, old, new, message):
     with pytest.raises(InputError, match=r"mine\.toml: " + re.escape(message)) as caught:
         load_profile(path)
     assert "\n" not in str(caught.value)
+
+
+def test_a_profile_may_say_only_what_it_changes(tmp_path):
+    """As `load_profile` takes it: tables keep what a change leaves out, and the name is the file's."""
+    path = tmp_path / "mine.toml"
+    path.write_text(
+        'base = "stss"\nunits_per_cm = 0.01\nmotion = {unit = "uv"}\ndepth = {kind = "device", near = 0.1, far = inf, reversed = true}'
+    )
+    mine = load_profile(path)
+    assert (mine.name, mine.path, mine.title) == ("mine", path, "mine, changed from stss")
+    changed = load_profile(
+        "stss", units_per_cm=0.01, motion={"unit": "uv"}, depth={"kind": "device", "near": 0.1, "far": np.inf, "reversed": True}
+    )
+    assert replace(mine, name="stss", title=changed.title, path=changed.path) == changed
+    assert load_profile(path, title="x", motion={"y": "up"}).motion == replace(mine.motion, y="up")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('base = "mine"', "base: expected one of blender, mitsuba, stss, unreal, unreal-mrq, found 'mine'"),
+        ("base = 3", "base: expected one of blender"),
+        ('base = "stss"\nunit = 1', "unit: unknown key; known are name, title, base"),
+        ('base = "stss"\nmotion = {unit = "texels"}', "motion.unit: expected one of pixels, uv, ndc, found 'texels'"),
+        ('base = "stss"\nmotion = 3', "motion: expected a table, found 3"),
+    ],
+)
+def test_a_change_of_a_file_that_is_wrong_is_named_by_the_file(tmp_path, text, message):
+    path = tmp_path / "mine.toml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=r"mine\.toml: " + re.escape(message)):
+        load_profile(path)
+
+
+def test_a_change_of_a_call_that_is_wrong_blames_no_file():
+    with pytest.raises(InputError, match=r"^profile stss as changed: motion\.unit: expected one of pixels"):
+        load_profile("stss", motion={"unit": "texels"})
+
+
+PASSES = {"Image": "RGB", "DiffCol": "RGB", "Normal": "XYZ", "Position": "XYZ", "Vector": "XYZW"}
+VALUES = ("Depth", "IndexOB", "metallic", "roughness")
+FILE_OUTPUT = [f"{of}.{letter}" for of, letters in PASSES.items() for letter in letters] + [f"{of}.V" for of in VALUES]
+"""The channels of a file that the File Output node of Blender 4.5 writes, with the names that its sockets have by default."""
+BLENDER_5 = {"Image": "Combined", "DiffCol": "Diffuse Color", "IndexOB": "Object Index", ".V": ".X", "Depth.X": "Depth.Z"}
+"""How a render's passes are called in Blender 5, behind the layer's name."""
+
+
+@pytest.mark.parametrize("layer", ["", "ViewLayer."])
+def test_passes_are_found_by_the_names_of_every_blender(tmp_path, layer):
+    names = FILE_OUTPUT
+    for old, new in BLENDER_5.items() if layer else ():
+        names = [name.replace(old, new) for name in names]
+    write_channels(tmp_path / "a.0001.exr", {layer + name: np.ones((4, 4)) for name in names})
+    sequence = open_sequence(tmp_path)
+    assert sequence.profile.name == "blender"
+    assert set(sequence.frames[1].sources) == set(BUFFERS) - {"nov"}
+
+
+def test_all_buffers_that_are_missing_are_said_at_once(tmp_path):
+    """An artist who adds one pass and renders again learns of no second one then."""
+    names = [n for n in FILE_OUTPUT if not n.startswith(("metallic", "roughness", "IndexOB"))]
+    write_channels(tmp_path / "a.0001.exr", {n: np.ones((4, 4)) for n in names})
+    with pytest.raises(InputError) as caught:
+        open_sequence(tmp_path)
+    assert re.findall(r"no (\w+): profile blender expects", str(caught.value)) == ["stencil", "roughness", "metallic"]
+    for said in ("turn on the Object Index pass", "--roughness 0.5", "--metallic 0", "found Depth.V, DiffCol.B"):
+        assert said in str(caught.value)
 
 
 @pytest.mark.parametrize(
