@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import shlex
 import sys
+from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -123,16 +125,15 @@ def conform(
     """
     for package in ("pytest", "hypothesis"):
         require_package(package, "conform")
+    choice = PortChoice(spec, program, dtype, winograd, weights_version, timeout)
     if onnx is not None:
         _require_options("with --onnx", OF_STAGES)
-        options = {"dtype": dtype or "float32", "winograd": winograd, "tier": tier, "seed": seed}
-        command = _command(spec, program, dtype, None, winograd=winograd, onnx=onnx)
-        reports = json_file, junit, report
-        sys.exit(_judge_model(onnx, spec, program, timeout, shapes, files, replay, options, failures, command, reports))
+        cases = ModelCases(shapes, files, replay, tier, seed)
+        sys.exit(_judge_model(onnx, choice, cases, failures, (json_file, junit, report)))
     _require_options("without --onnx", OF_MODELS)
     from conformance.judging.judge import TIERS, Judge
     from conformance.judging.known_failures import KnownFailuresError, read_known
-    from conformance.protocol.load_port import load_port, loaded_files
+    from conformance.protocol.load_port import loaded_files
     from conformance.report import case_archive
     from conformance.report.running_report import RunningReport
     from conformance.suite.run_suite import SUITE, run_suite, stage_needed
@@ -149,7 +150,7 @@ def conform(
         echo(f"{write_cases}: {len(index['cases'])} cases, inputs {index['inputs_sha256'][:16]}")
         return
     needs = {stage_needed(stage) for stage in (*(stages or SUITE), *(require or ()))}
-    port, abilities = load_port(spec, program, timeout, dtype, winograd, weights_version, needs if replay is None else SUITE)
+    port, abilities = choice.load(needs if replay is None else SUITE)
     # The modules that the port has imported are read, too.
     require_places({"--json": json_file, "--junit": junit, "--report": report}, loaded_files())
     if replay is not None:
@@ -157,7 +158,7 @@ def conform(
     judge = Judge(port, TIERS[tier], seed, repeat=repeat, size=size, largest_side=largest_side, abilities=abilities)
     try:
         known = read_known(known_failures) if known_failures is not None else ()
-        running = RunningReport(judge, failures, _command(spec, program, dtype, weights_version, winograd=winograd), json_file)
+        running = RunningReport(judge, failures, choice.command(), json_file)
         with running:
             run_suite(judge, stages or SUITE, known=known, required=require or (), first_only=fail_fast, on_result=running.take)
     except KnownFailuresError as error:
@@ -167,10 +168,61 @@ def conform(
     sys.exit(0 if running.finish(report, junit) else 1)
 
 
+@dataclass(frozen=True)
+class PortChoice:
+    """The port that the user chose, and what it says of itself: the options of these names."""
+
+    spec: str | None
+    program: str | None
+    dtype: str | None
+    winograd: bool
+    weights_version: int | None
+    timeout: float
+
+    def load(self, stages: Iterable[str]) -> tuple[Any, Any]:
+        """See `conformance.protocol.load_port.load_port`."""
+        from conformance.protocol.load_port import load_port
+
+        return load_port(self.spec, self.program, self.timeout, self.dtype, self.winograd, self.weights_version, stages)
+
+    def command(self, onnx: Path | None = None) -> str:
+        """The command that judges it, without ``--replay``."""
+        words = [
+            "stss",
+            "conform",
+            *(("--onnx", str(onnx)) if onnx is not None else ()),
+            *(("--port", self.spec) if self.spec is not None else ("--exec", self.program or "")),
+        ]
+        words += ["--dtype", self.dtype] if self.dtype is not None else []
+        if self.weights_version is not None and onnx is None:
+            words += ["--weights-version", str(self.weights_version)]
+        return shlex.join([*words, *(["--winograd"] if self.winograd else [])])
+
+
+@dataclass(frozen=True)
+class ModelCases:
+    """The cases that a port of any network is judged on: the options of these names."""
+
+    shapes: tuple[str, ...]
+    files: tuple[str, ...]
+    replay: Path | None
+    tier: str
+    seed: int
+
+    def sizes(self) -> dict[str, int]:
+        """The sizes of open axes; InputError for a word that names none."""
+        sizes: dict[str, int] = {}
+        for each in self.shapes:
+            name, _, number = each.rpartition("=")
+            if not name or not number.isdecimal() or not 0 < int(number) <= MOST_SIDE:
+                raise InputError(f"--shape: expected NAME=N with N from 1 to {MOST_SIDE}, got {each!r}")
+            sizes[name] = int(number)
+        return sizes
+
+
 def _judge_model(
-    path: Path, spec: str | None, program: str | None, timeout: float, shapes: tuple[str, ...], files: tuple[str, ...],
-    replay: Path | None, options: dict[str, Any], failures: Path, command: str, reports: tuple[Path | None, Path | None, Path | None],
-) -> int:  # fmt: skip
+    path: Path, choice: PortChoice, cases: ModelCases, failures: Path, reports: tuple[Path | None, Path | None, Path | None]
+) -> int:
     from conformance.answers.port_arithmetic import Arithmetic
     from conformance.graph.cases import read_case, read_failure
     from conformance.graph.model import load_model
@@ -182,20 +234,16 @@ def _judge_model(
     from conformance.report.failures import keep_failure
     from stss_ground.terminal import Terminal
 
-    sizes: dict[str, int] = {}
-    for each in shapes:
-        name, _, number = each.rpartition("=")
-        if not name or not number.isdecimal() or not 0 < int(number) <= MOST_SIDE:
-            raise InputError(f"--shape: expected NAME=N with N from 1 to {MOST_SIDE}, got {each!r}")
-        sizes[name] = int(number)
+    sizes = cases.sizes()
     _require_folder(failures)
-    model = load_model(path)
-    inputs = [read_case(model, files)] if files else [] if replay is None else read_failure(model, replay)
-    port = load_graph_port(model, spec, program, timeout)
+    model, replay = load_model(path), cases.replay
+    inputs = [read_case(model, cases.files)] if cases.files else [] if replay is None else read_failure(model, replay)
+    port = load_graph_port(model, choice.spec, choice.program, choice.timeout)
     # The modules that the port has imported are read, too.
     require_places(dict(zip(("--json", "--junit", "--report"), reports, strict=True)), loaded_files())
-    rounding = Rounding(Arithmetic(options["dtype"], options["winograd"]))
-    outcome = judge_port(model, port, rounding, tier=options["tier"], seed=options["seed"], fixed=sizes, own_inputs=inputs)
+    options = {"dtype": choice.dtype or "float32", "winograd": choice.winograd, "tier": cases.tier, "seed": cases.seed}
+    rounding, command = Rounding(Arithmetic(choice.dtype or "float32", choice.winograd)), choice.command(path)
+    outcome = judge_port(model, port, rounding, tier=cases.tier, seed=cases.seed, fixed=sizes, own_inputs=inputs)
     print_outcome(outcome, Terminal())
     folder = None
     if outcome.failure is not None and replay is None:
@@ -230,26 +278,6 @@ def _require_folder(failures: Path) -> None:
     """Raise InputError if ``failures`` cannot be a folder: before minutes of work, not after."""
     if failures.exists() and not failures.is_dir():
         raise InputError(f"{failures}: expected a folder, found a file")
-
-
-def _command(
-    spec: str | None,
-    program: str | None,
-    dtype: str | None,
-    weights_version: int | None,
-    *,
-    winograd: bool,
-    onnx: Path | None = None,
-) -> str:
-    words = [
-        "stss",
-        "conform",
-        *(("--onnx", str(onnx)) if onnx is not None else ()),
-        *(("--port", spec) if spec is not None else ("--exec", program or "")),
-    ]
-    words += ["--dtype", dtype] if dtype is not None else []
-    words += ["--weights-version", str(weights_version)] if weights_version is not None else []
-    return shlex.join([*words, *(["--winograd"] if winograd else [])])
 
 
 def _replay(port: Any, abilities: Any, folder: Path) -> int:

@@ -19,7 +19,8 @@ from stss.cli.options import (
 from stss.frames.backends import NETWORK
 from stss.frames.compute_options import ComputeOptions
 from stss.pages.viewer import page_folder
-from stss.sequence.reader import open_sequence
+from stss.quality.flip_vmaf import Perceptual
+from stss.sequence.reader import SequenceOptions
 from stss_ground.commands import Subcommand
 from stss_ground.option_kinds import Names, ReadPath, WrittenFile, WrittenFolder
 from stss_ground.output.places import require_places
@@ -44,19 +45,11 @@ def methods_command(
     sequence: Path,
     truth: Path,
     out: Path,
-    profile: str | None,
-    camera: Path | None,
-    metallic: float | None,
-    roughness: float | None,
-    non_finite: Any,
-    background: Any,
+    reading: SequenceOptions,
     weights: str,
     methods: tuple[str, ...],
-    frames: tuple[int, int] | None,
-    overwrite: bool,
     html: Path | None,
-    flip: bool,
-    vmaf: bool,
+    perceptual: Perceptual,
     as_json: bool,
     backend: str,
     compute: ComputeOptions,
@@ -74,32 +67,22 @@ def methods_command(
     from stss_lab.methods.methods_page import methods_page
 
     bar = partial(track, console=Terminal(stderr=True))
-    constants: dict[str, Any] = {"camera": camera, "metallic": metallic, "roughness": roughness, "non_finite": non_finite}
-    constants["background"] = background
-    files = open_sequence(sequence, profile, **constants, track=bar)
+    files = reading.open(sequence, bar)
     reads = [Path(weights), *([*truth.iterdir()] if truth.is_dir() else [])]
-    options = RunOptions.of(files.profile, frames=frames, overwrite=overwrite, **others)
+    options = RunOptions.of(files.profile, **others)
     names = method_table.choose_methods(methods, weights)
     loaded = choose_weights(weights, files, partial(echo, err=True), needed=NETWORK in names)
     folders = [*(folder_of(out / method) for method in names), *([] if html is None else [page_folder(html)])]
     require_places({"--html": html}, [*files.tables, *reads], folders=folders, inputs=files.images)
-    console = Terminal(stderr=True)
+    console, tell = Terminal(stderr=True), partial(echo, err=True)
+    engines = {name: partial(open_method, name, loaded, backend, compute, tell=tell) for name in names}
     first, last = options.frames or (files.numbers[0], files.numbers[-1])
     with show_progress(console, 2 * len(names) * (last - first + 1)) as advance:
         results = method_table.run_methods(
-            files,
-            truth,
-            out,
-            names,
-            lambda method: open_method(method, loaded, backend, compute, tell=partial(echo, err=True)),
-            options,
-            flip=flip,
-            vmaf=vmaf,
-            on_frame=advance,
-            reads=reads,
+            files, truth, out, engines, options, perceptual=perceptual, on_frame=advance, reads=reads
         )
     if html is not None:
-        methods_page(html, results, truth, files, frames, bar)
+        methods_page(html, results, truth, files, options.frames, bar)
     if as_json:
         click.echo(method_table.to_json(results))
     else:

@@ -11,7 +11,7 @@ import click
 
 from stss.cli.options import frame_options, sequence_options
 from stss.run.options import RunOptions
-from stss.sequence.reader import open_sequence
+from stss.sequence.reader import SequenceOptions
 from stss.weights.file import load
 from stss_ground.commands import Subcommand
 from stss_ground.option_kinds import Names, ReadPath, WrittenFolder
@@ -33,15 +33,10 @@ def parts_command(
     sequence: Path,
     truth: Path,
     out: Path,
-    profile: str | None,
+    reading: SequenceOptions,
     weights: tuple[str, ...],
     parts: tuple[str, ...],
     as_json: bool,
-    camera: Path | None,
-    metallic: float | None,
-    roughness: float | None,
-    non_finite: Any,
-    background: Any,
     **others: Any,
 ) -> None:
     """Take the network's parts away, one at a time, and compare with TRUTH: does SEQUENCE look worse without?
@@ -51,9 +46,8 @@ def parts_command(
     """
     from stss_lab.methods import parts as table
 
-    constants: dict[str, Any] = {"camera": camera, "metallic": metallic, "roughness": roughness, "non_finite": non_finite}
     bar = partial(track, console=Terminal(stderr=True))
-    files = open_sequence(sequence, profile, background=background, **constants, track=bar)
+    files = reading.open(sequence, bar)
     options, names = RunOptions.of(files.profile, **others), parts or table.PARTS
     loaded = [load(name) for name in weights]
     first, last = options.frames or (files.numbers[0], files.numbers[-1])

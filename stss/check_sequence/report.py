@@ -7,7 +7,7 @@ import dataclasses
 import json
 import re
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import timedelta
 from functools import partial
 from itertools import chain, islice, pairwise
@@ -25,12 +25,11 @@ from stss.check_sequence.static_positions import judge_static_geometry
 from stss.check_sequence.value_statistics import Level, Values, motion_lines
 from stss.images.headers import read_header
 from stss.sequence.antialiasing import judge_sampling
-from stss.sequence.background import Background
 from stss.sequence.choose_weights import suited
 from stss.sequence.find_files import find_frames
-from stss.sequence.profiles import BUFFERS, Profile
+from stss.sequence.profiles import BUFFERS
 from stss.sequence.raw_frame import NonFinite
-from stss.sequence.reader import Sequence, open_sequence, settle_profile
+from stss.sequence.reader import Sequence, SequenceOptions, settle_profile
 from stss_ground.errors import InputError
 from stss_ground.machine import available_threads
 from stss_ground.progress import show_steps, track
@@ -88,13 +87,8 @@ class CheckReport:
 
 def check(
     sequence_path: str | Path,
-    profile: str | Path | Profile | None,
+    reading: SequenceOptions,
     *,
-    camera: Path | None = None,
-    metallic: float | None = None,
-    roughness: float | None = None,
-    non_finite: NonFinite = "refuse",
-    background: Background = "files",
     frames: tuple[int, int] | None = None,
     console: Console | None = None,
 ) -> CheckReport:
@@ -102,10 +96,7 @@ def check(
 
     Args:
         sequence_path: folder or pattern, see `stss.sequence.reader.open_sequence`.
-        profile: name, TOML file or profile.
-        camera, metallic, roughness: as for `stss.sequence.reader.open_sequence`.
-        background: likewise.
-        non_finite: likewise; "refuse" makes values that are not finite an error, "mask" a warning.
+        reading: how to read it; ``non_finite`` "refuse" makes values that are not finite an error, "mask" a warning.
         frames: first and last display frame to look at; None: all there are.
         console: where progress is shown; None: nowhere.
 
@@ -113,17 +104,16 @@ def check(
         InputError: the profile cannot be read, or ``frames`` names none of the sequence. Any other fault is a finding.
     """
     console = console or Console(quiet=True)
-    table = settle_profile(Path(sequence_path), profile)
+    table = settle_profile(Path(sequence_path), reading.profile)
     findings: list[CheckFinding] = []
-    if profile is None:
+    if reading.profile is None:
         findings.append(CheckFinding("note", f"profile: {table.name}, by the channels' names; --profile takes another"))
     tables: dict[str, object] = {"profile": table.name}
     try:
         numbers = sorted(find_frames(Path(sequence_path), {table.file_of(buffer) for buffer in BUFFERS}))
         findings += missing_frames(numbers)
-        constants: dict[str, Any] = {"camera": camera, "metallic": metallic, "roughness": roughness}
-        reading = partial(track, console=console, text="reading headers")
-        sequence = open_sequence(sequence_path, table, **constants, non_finite="mask", background=background, track=reading)
+        bar = partial(track, console=console, text="reading headers")
+        sequence = replace(reading, profile=table, non_finite="mask").open(sequence_path, bar)
         looked = [n for n in sequence.numbers if frames is None or frames[0] <= n <= frames[1]]
         if not looked:
             raise InputError(f"{sequence_path}: no frames from {frames}; it has {numbers[0]} to {numbers[-1]}")
@@ -134,7 +124,7 @@ def check(
         tables["summary"] = summary(looked, sequence.size)
         findings += _storage(sequence, looked, tables)
         with show_steps(console, LOOKS) as begin:
-            findings += _pixels(sequence, looked, non_finite, tables, begin)
+            findings += _pixels(sequence, looked, reading.non_finite, tables, begin)
             begin("sampling")
             sampling = judge_sampling(sequence)
         tables["sampling"] = dataclasses.asdict(sampling)

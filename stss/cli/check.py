@@ -15,6 +15,7 @@ from stss.cli.options import (
     sequence_options,
     weights_option,
 )
+from stss.sequence.reader import SequenceOptions
 from stss_ground.commands import Subcommand
 from stss_ground.option_kinds import ReadPath, WrittenFolder
 from stss_ground.terminal import Terminal
@@ -25,14 +26,14 @@ from stss_ground.terminal import Terminal
 @sequence_options
 @click.option("--frames", type=FrameRange(), help="First and last frame to look at.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
-def check(sequence: Path, profile: str | None, as_json: bool, **options: Any) -> None:
+def check(sequence: Path, reading: SequenceOptions, frames: tuple[int, int] | None, as_json: bool) -> None:
     """Say what SEQUENCE holds and whether it can be run.
 
     Ends with status 0 when it can, 1 when it can but something looks wrong, 2 when it cannot.
     """
     from stss.check_sequence import report as checking
 
-    report = checking.check(sequence, profile, console=Terminal(stderr=True), **options)
+    report = checking.check(sequence, reading, frames=frames, console=Terminal(stderr=True))
     if as_json:
         click.echo(report.to_json())
     else:

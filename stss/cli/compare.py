@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import click
 
@@ -15,7 +14,8 @@ from stss.cli.options import (
     sequence_options,
 )
 from stss.pages.viewer import page_folder
-from stss.sequence.reader import open_sequence
+from stss.quality.flip_vmaf import Perceptual
+from stss.sequence.reader import SequenceOptions
 from stss_ground.commands import Subcommand
 from stss_ground.option_kinds import ReadPath, WrittenFile
 from stss_ground.output.places import require_places
@@ -46,11 +46,9 @@ def compare_command(
     html: Path | None,
     sequence: Path | None,
     holes: Path | None,
-    flip: bool,
-    vmaf: bool,
+    reading: SequenceOptions,
+    perceptual: Perceptual,
     as_json: bool,
-    non_finite: Any,
-    **options: Any,
 ) -> None:
     """Compare the frames in OUT with those in TRUTH: PSNR and SSIM over all pixels, edges and holes."""
     from stss.quality import compare as comparing
@@ -58,8 +56,8 @@ def compare_command(
     from stss.quality.output_and_truth import find_pairs
 
     bar = partial(track, console=Terminal(stderr=True))
-    files = None if sequence is None else open_sequence(sequence, **options, non_finite=non_finite, track=bar)
-    pairs = find_pairs(out, truth, frames, non_finite, holes)[0]
+    files = None if sequence is None else reading.open(sequence, bar)
+    pairs = find_pairs(out, truth, frames, reading.non_finite, holes)[0]
     require_places(
         {"--html": html},
         () if files is None else files.reads,
@@ -67,7 +65,7 @@ def compare_command(
         inputs=comparing.files_of(pairs),
     )
     comparison = comparing.compare(
-        out, truth, frames=frames, sequence=files, flip=flip, vmaf=vmaf, non_finite=non_finite, holes=holes, track=bar
+        out, truth, frames=frames, sequence=files, perceptual=perceptual, non_finite=reading.non_finite, holes=holes, track=bar
     )
     if as_json:
         click.echo(comparison.to_json())

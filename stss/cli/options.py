@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import fields
 from functools import wraps
 from typing import Any, TypeVar
 
@@ -13,9 +14,11 @@ from stss.frames.backends import BACKENDS
 from stss.frames.compute_options import ComputeOptions
 from stss.images.color import HDR_IS_GONE, TRANSFERS
 from stss.images.headers import MAX_SIDE
+from stss.quality.flip_vmaf import Perceptual
 from stss.sequence.background import BACKGROUNDS
 from stss.sequence.choose_weights import AUTO
 from stss.sequence.find_files import MAX_DIGITS
+from stss.sequence.reader import SequenceOptions
 from stss_cl.options import PRECISIONS, SKIPS, Precision, Skip
 from stss_ground.commands import grouped
 from stss_ground.option_kinds import Names, Number, ReadName, ReadPath
@@ -74,7 +77,14 @@ class TransferName(click.Choice[str]):
 
 
 def sequence_options(command: Command) -> Command:
-    """Add the options of commands that read a sequence."""
+    """Add the options of commands that read a sequence; the command gets ``reading``, a ``SequenceOptions``."""
+    names = [each.name for each in fields(SequenceOptions)]
+
+    @wraps(command)
+    def collected(**options: Any) -> Any:
+        reading = SequenceOptions(**{name: options.pop(name) for name in names})
+        return command(**options, reading=reading)
+
     options = (
         click.option(
             "--profile",
@@ -103,7 +113,8 @@ def sequence_options(command: Command) -> Command:
             help="NaN and Inf in colour or G-buffer: an error, or 0 and a warping hole.",
         ),
     )
-    return grouped("The sequence", *options)(command)
+    decorated: Any = grouped("The sequence", *options)(collected)
+    return decorated
 
 
 def frame_options(command: Command) -> Command:
@@ -182,12 +193,18 @@ weights_option = click.option(
 
 
 def perceptual_options(command: Command) -> Command:
-    """Add the options of commands that compare images, for metrics that need further packages."""
+    """Add the options of metrics that need further packages; the command gets ``perceptual``, a ``Perceptual``."""
+
+    @wraps(command)
+    def collected(*, flip: bool, vmaf: bool, **others: Any) -> Any:
+        return command(**others, perceptual=Perceptual(flip, vmaf))
+
     options = (
         click.option("--flip", is_flag=True, help="FLIP too  [needs the extra metrics]"),
         click.option("--vmaf", is_flag=True, help="VMAF too  [needs the extra metrics]"),
     )
-    return grouped("Metrics", *options)(command)
+    decorated: Any = grouped("Metrics", *options)(collected)
+    return decorated
 
 
 def _is_whole(word: str, digits: int) -> bool:

@@ -18,6 +18,7 @@ from stss.cli.options import (
     sequence_options,
     weights_option,
 )
+from stss.cluster.chunk import Engine
 from stss.cluster.run import run_on_cluster
 from stss.frames.backends import open_backend
 from stss.frames.compute_options import ComputeOptions
@@ -28,7 +29,7 @@ from stss.run.job import run as run_sequence
 from stss.run.options import RunOptions
 from stss.run.skip_report import Tally, describe_costs
 from stss.sequence.choose_weights import choose_weights
-from stss.sequence.reader import Sequence, open_sequence
+from stss.sequence.reader import Sequence, SequenceOptions
 from stss_ground.commands import Subcommand
 from stss_ground.option_kinds import ReadPath, WrittenFolder
 from stss_ground.progress import show_progress, track
@@ -51,12 +52,7 @@ from stss_ref.schedule import FrameKind
 def run(
     sequence: Path,
     out: Path,
-    profile: str | None,
-    camera: Path | None,
-    metallic: float | None,
-    roughness: float | None,
-    non_finite: Any,
-    background: Any,
+    reading: SequenceOptions,
     weights: str,
     backend: str,
     compute: ComputeOptions,
@@ -66,16 +62,14 @@ def run(
 ) -> None:
     """Make SEQUENCE, a folder or a pattern like a.####.exr, twice as large and twice as fast."""
     console = Terminal(stderr=True)
-    constants: dict[str, Any] = {"camera": camera, "metallic": metallic, "roughness": roughness, "non_finite": non_finite}
-    constants["background"] = background
-    frames = open_sequence(sequence, profile, **constants, track=partial(track, console=console, text="reading headers"))
-    if profile is None:
+    frames = reading.open(sequence, partial(track, console=console, text="reading headers"))
+    if reading.profile is None:
         _tell(f"profile: {frames.profile.name}, by the channels' names; --profile takes another")
     if frames.one_view:
         _tell(frames.one_view)
     if frames.solves_camera:
         _tell("camera: from position and depth; --camera CSV takes one")
-    if background == "camera":
+    if reading.background == "camera":
         _tell("background: its motion is computed from the camera, which positions show; the files' is not used")
     options = RunOptions.of(frames.profile, format=suffix, **others)
     if suffix == "png":
@@ -91,7 +85,7 @@ def run(
                 advance(tally.add(report.cost))
 
             if cluster is not None:
-                summary = run_on_cluster(frames, out, cluster, loaded, backend, compute, options, on_frame, reads)
+                summary = run_on_cluster(frames, out, cluster, Engine(loaded, backend, compute), options, on_frame, reads)
             else:
                 engine = open_backend(backend, loaded.weights, compute, tell=_tell)
                 summary = run_sequence(frames, out, engine, loaded.label, options, on_frame, reads)

@@ -24,6 +24,15 @@ from stss_ref.arrays import ArrayError
 
 
 @dataclass(frozen=True)
+class Engine:
+    """The arguments of `stss.frames.backends.open_backend`: a worker opens its own backend."""
+
+    loaded: LoadedWeights
+    backend: str
+    compute: ComputeOptions
+
+
+@dataclass(frozen=True)
 class Work:
     """A run, or the part of it that a chunk needs.
 
@@ -32,7 +41,8 @@ class Work:
         sequence: the sequence; the worker reads the same paths.
         rendered: the display frames that count as rendered.
         out: the run's folder, for messages and suffixes; the worker writes nothing.
-        options, loaded, backend, compute: as for a run in one process.
+        options: as for a run in one process.
+        engine: what computes.
     """
 
     version: str
@@ -40,9 +50,7 @@ class Work:
     rendered: frozenset[int]
     out: Path
     options: RunOptions
-    loaded: LoadedWeights
-    backend: str
-    compute: ComputeOptions
+    engine: Engine
 
     def part(self, numbers: Iterable[int]) -> Work:
         """The work without the frames that those of ``numbers`` do not depend on."""
@@ -129,10 +137,11 @@ def compute_chunk(work: Work, numbers: list[int]) -> Chunk:
 def _open(work: Work) -> tuple[Backend, str]:
     if work.version != VERSION:
         raise InputError(f"a worker has stss {VERSION}; expected {work.version}, as where the run was started")
-    key = f"{work.loaded.label} {work.backend} {work.compute}"
+    engine = work.engine
+    key = f"{engine.loaded.label} {engine.backend} {engine.compute}"
     if key not in _opened:
         _opened.clear()
-        _opened[key] = (open_backend(work.backend, work.loaded.weights, work.compute), work.loaded.label)
+        _opened[key] = (open_backend(engine.backend, engine.loaded.weights, engine.compute), engine.loaded.label)
     return _opened[key]
 
 

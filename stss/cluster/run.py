@@ -9,15 +9,13 @@ from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from concurrent.futures import TimeoutError as Timeout
 from pathlib import Path
 
-from stss.cluster.chunk import Chunk, Introduction, Work, compute_chunk, introduce
+from stss.cluster.chunk import Chunk, Engine, Introduction, Work, compute_chunk, introduce
 from stss.cluster.workers import Workers, connect
 from stss.frames.backends import NETWORK
-from stss.frames.compute_options import ComputeOptions
 from stss.run.frame_job import FrameReport, already_written, describe, keys_of
 from stss.run.job import REFUSAL, RunPlan, Summary, plan, require_unread
 from stss.run.options import RunOptions
 from stss.sequence.reader import Sequence as Frames
-from stss.weights.file import LoadedWeights
 from stss_ground.errors import InputError
 from stss_ground.version import VERSION
 
@@ -42,9 +40,7 @@ def run_on_cluster(
     sequence: Frames,
     out: Path,
     address: str,
-    loaded: LoadedWeights,
-    backend: str,
-    compute: ComputeOptions,
+    engine: Engine,
     options: RunOptions,
     on_frame: Callable[[FrameReport], None] = lambda report: None,
     reads: Iterable[Path] = (),
@@ -54,14 +50,14 @@ def run_on_cluster(
     Args:
         sequence, out, options, on_frame, reads: as there; ``on_frame`` is called in the order in which chunks arrive.
         address: where to compute, see ``stss.cluster.workers.connect``.
-        loaded, backend, compute: see ``stss.frames.backends.open_backend``.
+        engine: what computes there.
 
     Raises:
         InputError: as there; nothing answers at the address, workers differ, or workers die or hang again and again.
     """
     planned = plan(sequence, out, options)
     require_unread(planned, sequence, reads)
-    work = Work(VERSION, sequence, planned.rendered, out, options, loaded, backend, compute)
+    work = Work(VERSION, sequence, planned.rendered, out, options, engine)
     with (
         connect(address) as workers,
         planned.folder.open(refusal=None if options.resume or options.overwrite else REFUSAL),

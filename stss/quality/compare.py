@@ -17,7 +17,7 @@ from rich.table import Table
 
 from stss.images.read_write import read_rgb
 from stss.quality.changes import Follower, Shown, temporal_psnr
-from stss.quality.flip_vmaf import require_packages, vmaf_scores
+from stss.quality.flip_vmaf import NEITHER, Perceptual, vmaf_scores
 from stss.quality.metrics import REGIONS, Scores, mean_scores, score, to_8bit, upsample_holes
 from stss.quality.output_and_truth import FALLBACK, KINDS, MADE_WITH, Pair, find_pairs, list_numbers, require_size
 from stss.sequence.raw_frame import NonFinite
@@ -135,8 +135,7 @@ def compare(
     *,
     frames: tuple[int, int] | None = None,
     sequence: Input | None = None,
-    flip: bool = False,
-    vmaf: bool = False,
+    perceptual: Perceptual = NEITHER,
     non_finite: NonFinite = "refuse",
     holes: Path | None = None,
     track: Track = iter,
@@ -153,7 +152,7 @@ def compare(
         truth: images of the same size.
         frames: first and last to compare, both included; None: all.
         sequence: the input of the output, by whose motion flicker is measured; None: it is not.
-        flip, vmaf: take these too.
+        perceptual: metrics to take too.
         non_finite: what to do with values that are not finite: "refuse", or "mask": 0.
         holes: a run's folder, over whose warping holes outputs are scored; None: over their own.
         track: yields the numbers that it is given, and may show how far the comparison is.
@@ -162,11 +161,11 @@ def compare(
         InputError: a folder is not there, the two have no frame in common, a file cannot be read or has a value that is not finite,
             sizes differ or do not fit the sequence, only some of the output's files name their kind, or a package is missing.
     """
-    require_packages(flip=flip, vmaf=vmaf)
+    perceptual.require_packages()
     pairs, without_truth, without_output = find_pairs(out, truth, frames, non_finite, holes)
     notes = _notes(out, pairs, holes)
-    rows = _rows(pairs, track(list(pairs)), sequence, flip=flip)
-    if vmaf:
+    rows = _rows(pairs, track(list(pairs)), sequence, flip=perceptual.flip)
+    if perceptual.vmaf:
         scores = vmaf_scores(map(to_8bit, pair.load()) for pair in pairs.values())
         rows = [_with(row, vmaf=value) for row, value in zip(rows, scores, strict=True)]
     made_with = {name: sorted({p.made_with[name] for p in pairs.values() if name in p.made_with}) for name in MADE_WITH}
@@ -177,7 +176,7 @@ def compare(
         without_output,
         notes,
         {name: values for name, values in made_with.items() if values},
-        [name for name in METRICS if {"flip": flip, "vmaf": vmaf, "flicker": sequence is not None}.get(name, True)],
+        [name for name in METRICS if {**vars(perceptual), "flicker": sequence is not None}.get(name, True)],
         float(np.mean(holed)) if (holed := [row.hole for row in rows if row.hole is not None]) else None,
         float(np.mean(shares)) if (shares := [p.static_holes for p in pairs.values() if p.static_holes is not None]) else None,
     )

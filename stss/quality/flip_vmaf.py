@@ -7,6 +7,7 @@ import json
 import subprocess
 import tempfile
 from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -24,11 +25,21 @@ MODEL = "version=vmaf_v0.6.1"
 Bytes = NDArray[np.uint8]
 
 
-def require_packages(*, flip: bool, vmaf: bool) -> None:
-    """Raise InputError unless the packages of the metrics asked for are installed: before the work, not after it."""
-    for name, is_asked in (("flip_evaluator", flip), ("imageio_ffmpeg", vmaf)):
-        if is_asked:
-            require(name, EXTRA)
+@dataclass(frozen=True)
+class Perceptual:
+    """The metrics of other packages that are taken, too."""
+
+    flip: bool = False
+    vmaf: bool = False
+
+    def require_packages(self) -> None:
+        """Raise InputError unless their packages are installed: before the work, not after it."""
+        for name, is_asked in (("flip_evaluator", self.flip), ("imageio_ffmpeg", self.vmaf)):
+            if is_asked:
+                require(name, EXTRA)
+
+
+NEITHER = Perceptual()
 
 
 def flip_map(image: Image, truth: Image) -> Plane:

@@ -6,7 +6,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Collection, Iterable, Mapping
 from copy import copy
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import get_args
 
@@ -38,6 +38,7 @@ MAX_RESIDUAL = 1e-2
 """Largest residual of a camera that is found from position and depth: NoV then is wrong by no more."""
 
 
+@dataclass(eq=False)
 class Sequence:
     """The display frames of a sequence; `open_sequence` makes one.
 
@@ -48,31 +49,23 @@ class Sequence:
         display: the display window of every frame.
         frames: display frame -> its files, buffers and camera.
         constants: buffer -> number that stands in where there is no channel.
+        non_finite, background: what happens to values that are not finite, and where the motion of the background is from: see
+            `open_sequence`.
         settings: everything besides the files that decides what `load` returns: text and numbers.
         tables: files that were read besides those of the frames: the profile's, the camera's.
-        background: where the motion of the background is from, see `open_sequence`.
     """
 
-    def __init__(
-        self,
-        path: Path,
-        profile: Profile,
-        *,
-        canvas: PixelWindow,
-        display: PixelWindow,
-        frames: Mapping[int, RawFrame],
-        constants: Mapping[str, float],
-        non_finite: NonFinite,
-        background: Background = "files",
-        settings: Mapping[str, object],
-        tables: tuple[Path, ...] = (),
-    ):
-        self.path, self.profile, self.frames, self.settings = path, profile, frames, dict(settings)
-        self.canvas, self.display = canvas, display
-        self.constants, self.tables = dict(constants), tables
-        self._non_finite: NonFinite = non_finite
-        self.background: Background = background
-        self._projections: dict[int, Projection | None] = {}
+    path: Path
+    profile: Profile
+    canvas: PixelWindow
+    display: PixelWindow
+    frames: Mapping[int, RawFrame]
+    constants: Mapping[str, float]
+    non_finite: NonFinite
+    background: Background
+    settings: Mapping[str, object]
+    tables: tuple[Path, ...]
+    _projections: dict[int, Projection | None] = field(default_factory=dict[int, "Projection | None"], init=False, repr=False)
 
     @property
     def size(self) -> tuple[int, int]:
@@ -181,8 +174,8 @@ class Sequence:
             arrays["depth"] = np.where(outside[..., None], np.float32(np.nan), arrays["depth"])
         camera = frame.camera if "nov" in arrays or frame.camera is not None else self._solve(number, arrays)
         depth = to_specification(arrays, self.profile, camera, display=self.display.size, outside=outside)
-        settle_non_finite(arrays, frame.sources, self._non_finite)
-        settle_all_finite(carried, others, self._non_finite, into=carried)
+        settle_non_finite(arrays, frame.sources, self.non_finite)
+        settle_all_finite(carried, others, self.non_finite, into=carried)
         for buffer in UNIT_RANGE:
             arrays[buffer] = np.clip(arrays[buffer], 0, 1)
         return Buffers(
@@ -372,6 +365,22 @@ def open_sequence(
         settings=settings,
         tables=(table.path,) if camera is None else (table.path, camera),
     )
+
+
+@dataclass(frozen=True)
+class SequenceOptions:
+    """The arguments of `open_sequence` besides path and progress: the user's choices for reading a sequence."""
+
+    profile: str | Path | Profile | None = None
+    camera: Path | None = None
+    metallic: float | None = None
+    roughness: float | None = None
+    non_finite: NonFinite = "refuse"
+    background: Background = "files"
+
+    def open(self, path: str | Path, track: Track = iter) -> Sequence:
+        """Open a sequence with these choices; errors as of `open_sequence`."""
+        return open_sequence(path, **vars(self), track=track)
 
 
 def settle_profile(path: Path, profile: str | Path | Profile | None) -> Profile:

@@ -15,7 +15,7 @@ from rich.table import Table
 
 from stss.frames.backends import NETWORK, Backend
 from stss.quality.compare import Comparison, compare, print_whole
-from stss.quality.flip_vmaf import require_packages
+from stss.quality.flip_vmaf import NEITHER, Perceptual
 from stss.run.frame_job import HOLES
 from stss.run.job import require_near, run
 from stss.run.options import RunOptions
@@ -36,6 +36,9 @@ COLUMNS: Mapping[str, tuple[tuple[str, str, str], ...]] = {
 }
 """Heading -> kind of frame, region and field of ``Scores`` of the column."""
 DIGITS = {"psnr_rgb": 2, "ssim": 4, "flip": 4, "vmaf": 1, "tpsnr": 2, "flicker": 2}
+
+Engines = Mapping[str, Callable[[], tuple[Backend, str]]]
+"""Method -> opens its backend; returns it and the label of its weights."""
 
 
 @dataclass(frozen=True)
@@ -64,12 +67,10 @@ def run_methods(
     sequence: Frames,
     truth: Path,
     out: Path,
-    methods: Sequence[str],
-    engine: Callable[[str], tuple[Backend, str]],
+    engines: Engines,
     options: RunOptions,
     *,
-    flip: bool = False,
-    vmaf: bool = False,
+    perceptual: Perceptual = NEITHER,
     on_frame: Callable[[str], None] = lambda method: None,
     reads: Sequence[Path] = (),
 ) -> list[MethodResult]:
@@ -79,27 +80,26 @@ def run_methods(
         sequence: the input.
         truth: folder of the frames that outputs should equal.
         out: folder; made if need be.
-        methods: see `choose_methods`.
-        engine: returns a method's backend and the label of its weights.
+        engines: method, see `choose_methods` -> opens its backend.
         options: as for ``stss run``.
-        flip, vmaf: take these metrics too.
+        perceptual: metrics to take too.
         on_frame: called with the method when it has made or compared a frame.
         reads: files that must not be written to, besides those of the sequence.
 
     Raises:
         InputError: as ``stss run`` and ``stss compare``.
     """
-    require_packages(flip=flip, vmaf=vmaf)
+    perceptual.require_packages()
     require_near(sequence, *(options.frames or (sequence.numbers[0], sequence.numbers[-1])))
-    for method in methods:
-        backend, label = engine(method)
+    for method, engine in engines.items():
+        backend, label = engine()
         run(sequence, out / method, backend, label, options, lambda _, method=method: on_frame(method), reads)
     results: list[MethodResult] = []
-    for method in methods:
-        bar, masks = partial(_counted, method, on_frame), out / holes_of(methods)
+    for method in engines:
+        bar, masks = partial(_counted, method, on_frame), out / holes_of([*engines])
         masks = masks if (masks / HOLES).exists() else None  # where every frame was rendered, there are none
         scores = compare(
-            out / method, truth, frames=options.frames, sequence=sequence, flip=flip, vmaf=vmaf, holes=masks, track=bar
+            out / method, truth, frames=options.frames, sequence=sequence, perceptual=perceptual, holes=masks, track=bar
         )
         results.append(MethodResult(method, out / method, scores))
     return results

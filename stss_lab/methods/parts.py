@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,7 @@ from stss.run.options import RunOptions
 from stss.sequence.reader import Sequence as Frames
 from stss.weights.file import LoadedWeights
 from stss_ground.errors import InputError
-from stss_lab.methods.methods_table import MethodResult, run_methods
+from stss_lab.methods.methods_table import Engines, MethodResult, run_methods
 from stss_ref.arrays import Array, Image, Mask
 from stss_ref.decoder import decoder
 from stss_ref.encoder import encoder
@@ -132,12 +133,12 @@ def take_away(
     results: list[PartsResult] = []
     for name, loaded in zip(names, weights, strict=True):
 
-        def engine(part: str, loaded: LoadedWeights = loaded) -> tuple[Backend, str]:
-            return WithoutPart(loaded.weights, None if part == NETWORK else part), loaded.label
+        def engine(part: str | None, loaded: LoadedWeights = loaded) -> tuple[Backend, str]:
+            return WithoutPart(loaded.weights, part), loaded.label
 
-        rows = run_methods(
-            sequence, truth, out / name, (NETWORK, *parts), engine, options, on_frame=on_frame, reads=[Path(loaded.source)]
-        )
+        engines: Engines = {NETWORK: partial(engine, None), **{part: partial(engine, part) for part in parts}}
+        reads = [Path(loaded.source)]
+        rows = run_methods(sequence, truth, out / name, engines, options, on_frame=on_frame, reads=reads)
         results.append(_result(name, rows))
     return results
 

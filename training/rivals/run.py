@@ -28,6 +28,7 @@ from stss.images.color import Transfer, transfer
 from stss.images.read_write import read_rgb
 from stss.images.resample import enlarged
 from stss.quality.compare import FrameScores
+from stss.quality.flip_vmaf import Perceptual
 from stss.quality.metrics import psnr, to_8bit
 from stss.run.options import RunOptions
 from stss.sequence.reader import open_sequence
@@ -279,7 +280,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
             return cast(Backend, backend), method
         return open_method(method, loaded)
 
-    results = run_methods(files, args.truth, args.out, args.methods, engine, options, flip=args.full, vmaf=args.full)
+    engines = {method: partial(engine, method) for method in args.methods}
+    results = run_methods(files, args.truth, args.out, engines, options, perceptual=Perceptual(args.full, args.full))
     print_results(results, console := Console(width=200))
     for name, chain in chains.items():
         if chain.small:

@@ -12,7 +12,7 @@ from rich.console import Console
 from stss.check_sequence.motion_convention import CHOICES
 from stss.check_sequence.report import check, missing_buffers, print_report
 from stss.images.read_write import read_channels, read_header, write_channels
-from stss.sequence.reader import open_sequence
+from stss.sequence.reader import SequenceOptions, open_sequence
 from stss_ground.errors import InputError
 from tests.app.conftest import PLAIN, frame_channels, write_parts
 from tests.hostile.cases import call
@@ -23,7 +23,7 @@ def texts(report, level):
 
 
 def test_a_sound_sequence(write_frames):
-    report = check(write_frames([1, 2, 3, 4, 5], rendered={1, 3, 5}), "stss")
+    report = check(write_frames([1, 2, 3, 4, 5], rendered={1, 3, 5}), SequenceOptions("stss"))
     assert report.status == 0
     assert not texts(report, "warning")
     assert any("every second frame from 1 on" in text for text in texts(report, "note"))
@@ -44,7 +44,7 @@ def test_frames_and_buffers_that_are_missing(write_frames):
     def change(number, channels):
         return {k: v for k, v in channels.items() if number % 2 or not k.startswith("motion")}
 
-    report = check(write_frames([1, 2, 4, 7], change=change), "stss")
+    report = check(write_frames([1, 2, 4, 7], change=change), SequenceOptions("stss"))
     said = [finding.text for finding in report.findings]
     assert said[0].startswith("display frames 3, 5, 6 are not there")
     assert any(text.startswith("motion: not there in frames 2, 4; every display frame needs it") for text in said)
@@ -54,14 +54,14 @@ def test_frames_and_buffers_that_are_missing(write_frames):
 def test_half_rate_g_buffers_are_said_first(write_frames):
     """The likeliest mistake: everything was rendered at half rate."""
     folder = write_frames([1, 3, 5, 7], change=lambda _, c: {k: v for k, v in c.items() if k != "nov.X"})
-    report = check(folder, "stss")
+    report = check(folder, SequenceOptions("stss"))
     assert report.status == 2
     assert report.findings[0].text.startswith("frames step by 2 (1, 3, 5, ...): the display frames between are not there")
     assert "no nov and no camera" in report.findings[1].text
 
 
 def test_colour_at_odd_frames(write_frames):
-    report = check(write_frames([1, 2, 3, 4], rendered={1, 2, 4}), "stss")
+    report = check(write_frames([1, 2, 3, 4], rendered={1, 2, 4}), SequenceOptions("stss"))
     found = [text for text in texts(report, "warning") if text.startswith("colour: expected every frame or every second")]
     assert len(found) == 1
 
@@ -100,7 +100,7 @@ def test_a_wrong_choice_of_motion_is_told(write_frames, choice):
         wanted = np.stack([channels["motion.X"], channels["motion.Y"]], axis=-1) * (x, y)
         channels["motion.X"], channels["motion.Y"] = np.moveaxis(wanted[..., ::-1] if swap else wanted, -1, 0)
 
-    report = check(write_frames([1, 2, 3], change=change), "stss")
+    report = check(write_frames([1, 2, 3], change=change), SequenceOptions("stss"))
     (text,) = (text for text in texts(report, "warning") if text.startswith("motion: fits"))
     assert report.status == 1
     assert f"with {choice}, so profile stss seems wrong (base colour and normal of the frame before" in text
@@ -111,7 +111,7 @@ def test_a_still_scene_tells_nothing(write_frames):
         channels["motion.X"] = channels["motion.Y"] = 0 * channels["nov.X"] + 0.1
         channels["position.Y"], channels["position.X"] = np.indices(channels["nov.X"].shape) + 0.1 * number
 
-    report = check(write_frames([1, 2, 3], change=change), "stss")
+    report = check(write_frames([1, 2, 3], change=change), SequenceOptions("stss"))
     assert report.status == 0
     assert any("cannot tell whether its signs are right" in text for text in texts(report, "note"))
 
@@ -167,14 +167,14 @@ def planted(**changes):
     ids=["directions", "ranges", "non-finite", "empty"],
 )
 def test_values(write_frames, changes, said):
-    report = check(write_frames([1, 2, 3], change=planted(**changes)), "stss")
+    report = check(write_frames([1, 2, 3], change=planted(**changes)), SequenceOptions("stss"))
     for level, text in said:
         assert any(found.startswith(text) for found in texts(report, level)), (text, report.findings)
     assert report.status == (2 if any(level == "error" for level, _ in said) else 1)
 
 
 def test_masked_values_are_a_warning(write_frames):
-    report = check(write_frames([1, 2], change=planted(R=np.nan)), "stss", non_finite="mask")
+    report = check(write_frames([1, 2], change=planted(R=np.nan)), SequenceOptions("stss", non_finite="mask"))
     assert "color: 2 non-finite values, first in frame 1; masked" in texts(report, "warning")
 
 
@@ -195,7 +195,9 @@ def test_steps_of_positions(write_frames, far, half, said):
         channels["depth.Z"][:4] = 1e10  # the place that stands for the sky is no position
 
     folder = write_frames([1, 2], change=change, half=("position.X", "position.Y", "position.Z") if half else ())
-    found = [f for f in check(folder, "stss").findings if f.text.startswith("position: ") and "precision" in f.text]
+    found = [
+        f for f in check(folder, SequenceOptions("stss")).findings if f.text.startswith("position: ") and "precision" in f.text
+    ]
     assert len(found) == len(said)
     assert all(f.level == level and f.text.startswith(f"position: {text}") for f, (level, text) in zip(found, said, strict=True))
 
@@ -213,7 +215,7 @@ def test_lossy_compression(write_frames, monkeypatch):
     monkeypatch.setattr(images, "_whole_exr", lambda data, rows: True)  # which knows our own compression
     folder = write_frames([1, 2])
     monkeypatch.undo()
-    (text,) = (t for t in texts(check(folder, "stss"), "warning") if "compression" in t)
+    (text,) = (t for t in texts(check(folder, SequenceOptions("stss")), "warning") if "compression" in t)
     assert text.startswith("dwaa")
     assert "motion" in text
     assert "color" not in text.replace("base_color", "")
@@ -227,7 +229,7 @@ def test_object_numbers_that_run_together_are_named(write_frames, least, half, l
         channels["stencil.X"] = channels["stencil.X"] * (least + np.arange(64) // 32)
 
     folder = write_frames([1, 2], change=change, half=("stencil.X",) if half else ())
-    found = [text for text in texts(check(folder, "stss"), "warning") if "run together" in text]
+    found = [text for text in texts(check(folder, SequenceOptions("stss")), "warning") if "run together" in text]
     assert len(found) == (limit > 0)
     assert all(text.startswith("stencil: up to ") and f"above {limit} run together" in text for text in found)
 
@@ -250,26 +252,26 @@ def test_the_other_eye_is_named(write_frames, tmp_path):
             write_parts(path, *parts)
         told = "views: the files have left, right; only R, G, B and what goes with them are read: "
         said = call("run", tmp_path / kind, "-o", tmp_path / "out", *PLAIN, "--overwrite").stderr.splitlines()
-        for lines in (texts(check(tmp_path / kind, "stss"), "warning"), said):
+        for lines in (texts(check(tmp_path / kind, SequenceOptions("stss")), "warning"), said):
             (text,) = (line for line in lines if "views" in line)
             assert text.startswith(told)
             assert "write its channels, such as right.R, into a copy of the profile" in text
-    assert not [text for text in texts(check(folder, "stss"), "warning") if "views" in text]
+    assert not [text for text in texts(check(folder, SequenceOptions("stss")), "warning") if "views" in text]
 
 
 def test_frames_and_files_that_do_not_fit(write_frames, tmp_path):
     folder = write_frames([1, 2, 3])
-    assert "no frames from (8, 9)" in texts(check(folder, "stss", frames=(8, 9)), "error")[0]
-    assert list(check(folder, "stss", frames=(2, 3)).tables["frames"]) == ["2", "3"]
+    assert "no frames from (8, 9)" in texts(check(folder, SequenceOptions("stss"), frames=(8, 9)), "error")[0]
+    assert list(check(folder, SequenceOptions("stss"), frames=(2, 3)).tables["frames"]) == ["2", "3"]
     (folder / "seq.0002.exr").write_bytes((folder / "seq.0002.exr").read_bytes()[:-100])
-    assert "truncated or corrupt" in texts(check(folder, "stss"), "error")[0]
-    assert check(tmp_path / "no", "stss").status == 2
+    assert "truncated or corrupt" in texts(check(folder, SequenceOptions("stss")), "error")[0]
+    assert check(tmp_path / "no", SequenceOptions("stss")).status == 2
     with pytest.raises(InputError, match="profile no: expected one of"):
-        check(folder, "no")
+        check(folder, SequenceOptions("no"))
 
 
 def test_blender_reference(reference_data, blender_camera):
     """On real renders the check agrees with the right convention."""
-    report = check(reference_data / "blender" / "lr", "blender", camera=blender_camera, frames=(1, 3))
+    report = check(reference_data / "blender" / "lr", SequenceOptions("blender", camera=blender_camera), frames=(1, 3))
     assert report.status == 0
     assert any("motion: fits as profile blender says" in text for text in texts(report, "note"))

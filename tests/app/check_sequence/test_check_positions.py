@@ -7,6 +7,7 @@ from conformance.scenes import SCENES, render
 from stss.check_sequence.report import check
 from stss.demo import demo_path, frame_channels
 from stss.images.read_write import write_channels
+from stss.sequence.reader import SequenceOptions
 from stss.sequence.solve_camera import solve_camera
 
 SIZE = (54, 96)
@@ -30,7 +31,7 @@ def found(rendered, tmp_path):
             channels = {name: plane.copy() for name, plane in rendered[number].items()}
             change(channels, rendered, number)
             write_channels(demo_path(tmp_path, number), {n: np.ascontiguousarray(p, np.float32) for n, p in channels.items()})
-        report = check(tmp_path, "stss")
+        report = check(tmp_path, SequenceOptions("stss"))
         return tuple([f.text for f in report.findings if f.level == level] for level in ("warning", "note"))
 
     return look
@@ -135,7 +136,7 @@ def test_positions_relative_to_the_camera_are_named_and_motion_is_not(tmp_path, 
             f"position.{axis}": (position[..., i] - solved.pose.position[i]).astype(np.float32) for i, axis in enumerate("XYZ")
         }
         write_channels(demo_path(tmp_path, number), channels)
-    warnings = [f.text for f in check(tmp_path, "stss").findings if f.level == "warning"]
+    warnings = [f.text for f in check(tmp_path, SequenceOptions("stss")).findings if f.level == "warning"]
     assert any("relative to the camera" in text for text in warnings), warnings
     assert not any(text.startswith("motion") and "relative to the camera" not in text for text in warnings), warnings
 
@@ -150,6 +151,6 @@ def test_a_camera_at_the_origin_blames_no_position(tmp_path):
         }
         channels["motion.X"] = -channels["motion.X"]
         write_channels(demo_path(tmp_path, number), channels)
-    warnings = [f.text for f in check(tmp_path, "stss").findings if f.level == "warning"]
+    warnings = [f.text for f in check(tmp_path, SequenceOptions("stss")).findings if f.level == "warning"]
     assert any(text.startswith("motion: seems to be ") for text in warnings)
     assert not any("relative to the camera" in text for text in warnings)

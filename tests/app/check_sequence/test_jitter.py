@@ -10,6 +10,7 @@ from conformance.scenes import DEMO, render
 from stss.check_sequence.report import check
 from stss.check_sequence.static_positions import judge_static_geometry
 from stss.frames.buffers import Buffers
+from stss.sequence.reader import SequenceOptions
 
 SIZE = (60, 96)
 JITTER = ((0.0, 0.0), (0.25, -0.375), (-0.25, 0.125), (0.375, 0.25))
@@ -76,7 +77,7 @@ def test_check_warns_of_it(write_frames):
             "position.X": x + dx, "position.Y": y + dy, "motion.X": zero, "motion.Y": zero, "stencil.X": zero,
         }  # fmt: skip
 
-    report = check(write_frames([1, 2, 3, 4, 5], change=jitter), "stss")
+    report = check(write_frames([1, 2, 3, 4, 5], change=jitter), SequenceOptions("stss"))
     assert [f.level for f in report.findings if "jitter: positions are shifted" in f.text] == ["warning"]
     assert report.status == 1
     assert report.tables["jitter"]["against_motion"]

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from stss.cluster import run as module
-from stss.cluster.chunk import Work, compute_chunk
+from stss.cluster.chunk import Engine, Work, compute_chunk
 from stss.cluster.run import run_on_cluster
 from stss.cluster.workers import LocalWorkers, connect
 from stss.frames.backends import open_backend
@@ -42,7 +42,7 @@ def frames(write_frames, monkeypatch):
 
 
 def on_cluster(sequence, out, where="threads", on_frame=lambda report: None, **options):
-    return run_on_cluster(sequence, out, where, load(BILINEAR), "ref", ComputeOptions(), RunOptions(**options), on_frame)
+    return run_on_cluster(sequence, out, where, Engine(load(BILINEAR), "ref", ComputeOptions()), RunOptions(**options), on_frame)
 
 
 def in_one_process(sequence, out, **options):
@@ -99,7 +99,7 @@ def threads(monkeypatch):
 def test_a_chunk_reads_five_frames_more_than_it_writes(frames, monkeypatch, tmp_path):
     reads, load_frame = [], Sequence.load
     monkeypatch.setattr(Sequence, "load", lambda self, n, **how: reads.append(n) or load_frame(self, n, **how))
-    work = Work(VERSION, frames, RENDERED, tmp_path, RunOptions(), load(BILINEAR), "ref", ComputeOptions())
+    work = Work(VERSION, frames, RENDERED, tmp_path, RunOptions(), Engine(load(BILINEAR), "ref", ComputeOptions()))
     chunk = compute_chunk(work.part([9, 10, 11]), [9, 10, 11])
     assert reads == [4, 5, 6, 7, 8, 9, 10, 11]
     assert [list(of_frame) for _, of_frame in chunk.frames] == [

@@ -12,7 +12,7 @@ from stss.demo import frame_channels
 from stss.images.read_write import encode_rgb, read_channels, read_header, read_rgb, write_rgb
 from stss.images.windows import PixelWindow, moved, union
 from stss.sequence.profiles import load_profile
-from stss.sequence.reader import open_sequence
+from stss.sequence.reader import SequenceOptions, open_sequence
 from stss_ground.errors import InputError
 from tests.app.conftest import PLAIN
 from tests.hostile.cases import call
@@ -110,7 +110,7 @@ def test_a_cropped_frame_is_the_whole_one_with_nothing_around(tmp_path, several)
         a, b = (tmp_path / f"{out}-out" / f"frame.{number:04d}.exr" for out in ("whole", "cut"))
         assert read_header(b).display == CANVAS.doubled
         np.testing.assert_array_equal(pixels(a), pixels(b))
-    (note,) = (f.text for f in check(tmp_path / "cut", "stss").findings if f.text.startswith("data windows"))
+    (note,) = (f.text for f in check(tmp_path / "cut", SequenceOptions("stss")).findings if f.text.startswith("data windows"))
     assert note == "data windows: cropped in frames 0, 1, 2, 3; outside nothing was hit"
 
 
@@ -148,7 +148,7 @@ def test_overscan_is_read_and_made_whole(overscan, tmp_path):
         np.testing.assert_array_equal(hole, plain[display.within(data)])
     result = call("run", root / "wide", "-o", tmp_path / "wide", *PLAIN, "--resume")
     assert f"{FRAMES} kept" in result.stderr
-    notes = [f.text for f in check(root / "wide", "stss").findings]
+    notes = [f.text for f in check(root / "wide", SequenceOptions("stss")).findings]
     assert "overscan: 4 pixels left, 4 right, 3 above, 3 below; it is read and made too" in notes
 
 

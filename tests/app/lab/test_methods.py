@@ -243,7 +243,7 @@ def test_every_frame_rendered_has_no_holes_to_score(write_frames, tmp_path):
     options = RunOptions(rendered="all")
     run(files, tmp_path / "truth", MethodBackend("lanczos"), "none", options)
     results = run_methods(
-        files, tmp_path / "truth", tmp_path / "out", ["bilinear"], lambda m: (MethodBackend(m), "none"), options
+        files, tmp_path / "truth", tmp_path / "out", {"bilinear": lambda: (MethodBackend("bilinear"), "none")}, options
     )
     assert [mean.name for mean in results[0].comparison.means] == ["SF"]
     assert results[0].comparison.holes is None

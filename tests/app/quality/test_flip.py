@@ -14,7 +14,7 @@ from rich.console import Console
 
 from stss.images.read_write import write_mask, write_rgb
 from stss.quality.compare import compare, print_comparison
-from stss.quality.flip_vmaf import flip_map, vmaf_scores
+from stss.quality.flip_vmaf import Perceptual, flip_map, vmaf_scores
 from stss.quality.metrics import score, to_8bit
 from stss.run.options import RunOptions
 from stss_ground.errors import InputError
@@ -88,7 +88,7 @@ def test_vmaf_knows_better_from_worse():
 def test_compare_takes_them_when_asked(folders):
     result = call("compare", *folders, "--flip", "--vmaf", "--json")
     assert result.returncode == 0, result.stderr
-    found = compare(*folders, flip=True, vmaf=True)
+    found = compare(*folders, perceptual=Perceptual(flip=True, vmaf=True))
     assert json.loads(result.stdout) == json.loads(found.to_json())
     sf, ef, mean = found.means
     assert sf.scores["all"].flip == 0
@@ -118,6 +118,6 @@ def test_a_missing_package_is_one_line(folders, monkeypatch, module, option):
     with pytest.raises(
         InputError, match=rf"^{module} is not installed: pip install {module}, or .* pip install '\.\[metrics\]'$"
     ):
-        compare(*folders, **{option: True})
+        compare(*folders, perceptual=Perceptual(**{option: True}))
     with pytest.raises(InputError, match="is not installed"):  # before anything is run
-        run_methods(None, folders[1], folders[0], ("bilinear",), None, RunOptions(), **{option: True})
+        run_methods(None, folders[1], folders[0], {}, RunOptions(), perceptual=Perceptual(**{option: True}))

@@ -7,7 +7,7 @@ from conformance.scenes import SCENES, render
 from stss.check_sequence.report import check
 from stss.demo import demo_path, frame_channels
 from stss.images.read_write import read_header, write_channels
-from stss.sequence.reader import open_sequence
+from stss.sequence.reader import SequenceOptions, open_sequence
 from stss_ground.errors import InputError
 from tests.app.conftest import PLAIN
 from tests.hostile.cases import call
@@ -34,7 +34,9 @@ def write(folder, scene, change=lambda motion: motion):
 
 
 def said(folder, **options):
-    return [(f.level, f.text) for f in check(folder, "stss", **options).findings if f.text.startswith("background")]
+    return [
+        (f.level, f.text) for f in check(folder, SequenceOptions("stss", **options)).findings if f.text.startswith("background")
+    ]
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from stss.demo import demo_path, frame_channels
 from stss.images.read_write import read_channels, read_header, write_channels
 from stss.sequence.antialiasing import judge_sampling
 from stss.sequence.choose_weights import AUTO, choose_weights
-from stss.sequence.reader import open_sequence
+from stss.sequence.reader import SequenceOptions, open_sequence
 from stss.weights.file import load
 from stss_ground.errors import InputError
 from tests.app.conftest import write_parts
@@ -56,7 +56,7 @@ def test_frames_say_how_they_were_sampled(rendered, kind, antialiased, reason):
     loaded = choose_weights(AUTO, sequence, said.append)
     assert loaded.label == f"{name} {load(name).identity}"
     assert said[0].startswith(f"weights: {name} (")
-    report = check(rendered / kind, "stss")
+    report = check(rendered / kind, SequenceOptions("stss"))
     assert any(f"stss run takes the weights {name}" in finding.text for finding in report.findings)
     assert json.loads(report.to_json())["sampling"]["antialiased"] is antialiased
 
@@ -75,7 +75,7 @@ def test_each_part_has_its_own_compression(rendered, tmp_path, beauty, others):
             if of
         ]
         write_parts(demo_path(tmp_path, number), *parts)
-    report = check(tmp_path, "stss")
+    report = check(tmp_path, SequenceOptions("stss"))
     lossy = [finding.text for finding in report.findings if finding.level == "warning" and "compression" in finding.text]
     if others == "zip":
         assert not lossy
