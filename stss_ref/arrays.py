@@ -26,7 +26,7 @@ Mask = NDArray[np.bool_]
 
 
 FLOATS = (np.dtype(np.float32), np.dtype(np.float64))
-"""What a stage computes in."""
+"""The dtypes of a stage."""
 
 
 class Shaped(Protocol):
@@ -46,7 +46,7 @@ class ArrayError(ValueError):
 def require(
     arrays: Mapping[str, tuple[Any, str]], *, non_finite: Collection[str] = (), masks: Collection[str] = ()
 ) -> dict[str, int]:
-    """Check what a function is given: shapes, one dtype, finite numbers. The first array that is not so is named.
+    """Check a function's arrays: shapes, one dtype, finite numbers. The error names the first array that is not so.
 
     Args:
         arrays: name -> the array, and its shape in the words of docstrings: ``H, W, 3``. A letter stands for one length of at least 1,

@@ -27,7 +27,7 @@ class HoleLimits:
         footprints: largest trusted distance on a static surface; footprints of the pixel. Its square must be exact in float32.
         facing: the paper's, on a surface seen head-on; cm.
         grazing: the paper's, on a surface seen edge-on; cm.
-        depth: what normalised depth 1 adds to both; cm.
+        depth: added to both for a normalised depth of 1; cm.
         cosine: smallest trusted cosine between a moving object's normals.
         static_cosine: the same of static geometry; the test by the footprint alone reads it.
         mesh: largest trusted value of ``3 |warped stencil - stencil|``.

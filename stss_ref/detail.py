@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The second colour "detail": what warped frames show within a pixel."""
+"""The second colour "detail": differences within a pixel, as warped frames show them."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def detail(first: Image, stencil: Plane, frames: Sequence[tuple[Image, Image, Pl
 
 
 def tents(fraction: Plane) -> tuple[Array, Array]:
-    """Along one axis, what the tap at or before a place weighs at the two places of a pixel, (2, H, W), and what the next one does."""
+    """Weights along one axis at the two places of a pixel, (2, H, W) each: of the tap at or before a place, and of the next one."""
     places = np.stack([fraction - PLACE, fraction + PLACE])
     near, next_ = np.maximum(0, 1 - 2 * np.abs(places)), np.maximum(0, 1 - 2 * np.abs(places - 1))
     return near, next_

@@ -53,7 +53,7 @@ def normalise(x: Image) -> Image:
 
 
 def reshade(light: Image, material: Image, m: Image) -> Image:
-    """The light of like materials, of what is trusted (``m``, (H, W, 1)) alone."""
+    """The light of like materials; only trusted places count (``m``, (H, W, 1))."""
     return attend(material, material * m, light * m)
 
 

@@ -61,7 +61,7 @@ def frame(inputs: FrameInputs, weights: Weights, gather: Gather = "longest") -> 
 
     Args:
         inputs: the buffers.
-        weights: the network's 92 tensors, and what they were trained with: second colour, hole test and hole fill.
+        weights: the network's 92 tensors, with the second colour, hole test and hole fill of their training.
         gather: how the motion chain reads between pixels.
 
     Returns:
@@ -87,9 +87,8 @@ def prepare(
     """Make the network's inputs: warp the three colour frames to the current one. Other arguments and errors as in ``frame``.
 
     ``color`` is two pictures: the newest colour frame with its holes filled, and a second one. With ``second`` "newest" that is the same
-    frame, its holes left as they are warped (spec 7); in an SF both are then the frame itself. With "detail" it is what all warped frames
-    show within the pixel (`detail`). ``test``: of static surfaces, and its ``limits``, see `holes`. ``hole_fill``: the stage that fills the
-    holes.
+    frame, its holes left as they are warped (spec 7); in an SF both are then the frame itself. With "detail" it is the
+    detail of all warped frames (`detail`). ``test`` and ``limits``: see `holes`. ``hole_fill``: the stage that fills the holes.
     """
     _check(inputs)
     motions = motion_by_step(inputs.motions, inputs.steps, gather)

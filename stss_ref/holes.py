@@ -90,7 +90,7 @@ def holes(
 
 
 def offsets(position_previous: Image, position: Image, at: Taps) -> list[Image]:
-    """How far the four earlier positions that each pixel reads lie from its own; four times (H, W, 3)."""
+    """The four earlier positions that each pixel reads, minus its own; four times (H, W, 3)."""
     return [there - position for there in corners(position_previous, at)]
 
 
@@ -154,7 +154,7 @@ def is_surface(normal: Image, n: Image) -> Mask:
 
 
 def objects_apart(s: Plane, stencil: Plane) -> Plane:
-    """(H, W) how far the earlier stencil is from this frame's, over the three channels of the paper's."""
+    """(H, W) the difference of the two stencils, summed over the paper's three equal channels."""
     return 3 * np.abs(s - stencil)
 
 

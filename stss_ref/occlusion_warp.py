@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Stage occlusion_warp: where to look instead for a disoccluded pixel."""
+"""Stage occlusion_warp: another place to read for each disoccluded pixel."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def splat(motion: Image, depth: Plane) -> Image:
     """Write every pixel's motion to the four earlier pixels around the place it came from; the nearest surface wins.
 
     Among equal depths the first pixel in raster order wins. The winner is the smallest (depth, raster index), so the order of the
-    writes does not matter. Pixels that nothing was written to hold 0.
+    writes does not matter. Pixels without a write hold 0.
 
     Args:
         motion: (H, W, 2) pixels.

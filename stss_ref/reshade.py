@@ -42,7 +42,7 @@ def reshade(
     (`shows_surface`). A hole that has none takes ``sum w(q) c(q) / sum w(q)`` over the pixels ``q`` of its object within ``RADIUS``
     that are no holes, where ``c`` is the warped colour, or holes with samples of their own, where ``c`` is their mean;
     ``w(q) = (1 + 8 |b(q) - b(p)|_1 + 2 |n(q) - n(p)|^2)^-4`` with base colour ``b`` and normal ``n``. A background, whose normal is 0,
-    takes from background alone, and what is near: ``w(q) = (1 + 8 |b(q) - b(p)|_1 + |q - p|^2 / 4)^-4``. Without any it stays as it
+    takes from background alone, the nearer the more: ``w(q) = (1 + 8 |b(q) - b(p)|_1 + |q - p|^2 / 4)^-4``. Without any it stays as it
     is warped. Colours below 0 count as 0.
 
     Source: paper, Reshading (the light of valid neighbours, by how alike the materials are), here at full size; decision 38.

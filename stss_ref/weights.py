@@ -23,20 +23,20 @@ Tensors = Mapping[str, Array]
 Component = Literal["backbone", "history", "erm"]
 
 SecondColor = Literal["newest", "detail"]
-"""The content of the second of the network's two colours: the newest colour frame warped, as the authors' weights expect it, or what all
-warped ones show within the pixel (`stss_ref.frame.prepare`)."""
+"""The content of the second of the network's two colours: the newest colour frame warped, as the authors' weights expect it, or the
+detail of all warped frames (`stss_ref.frame.prepare`)."""
 SECOND_COLORS: tuple[SecondColor, ...] = get_args(SecondColor)
 
 
 @dataclass(frozen=True, eq=False)
 class Weights(Mapping[str, Array]):
-    """The network's arrays by name, and what else was settled in training. ``dataclasses.replace`` changes a part and keeps the rest.
+    """The network's arrays by name, and the choices of their training. ``dataclasses.replace`` changes a part and keeps the rest.
 
     Attributes:
         tensors: the array of each name in `TENSORS`.
         second_color: the second colour that they were trained with.
         hole_test: the hole test that they were trained with.
-        hole_fill: what filled the holes in training.
+        hole_fill: the stage that filled the holes in training.
     """
 
     tensors: Tensors = field(repr=False)
@@ -76,8 +76,8 @@ class Layer:
 
     Attributes:
         name: module path in the authors' checkpoint, without ``.weight`` and ``.bias``.
-        reads: its inputs, side by side in this order: layers, and ``SOURCES``. Those of half the size are upsampled first; of what ran
-            for each of the three colour frames, a layer that runs once reads all three.
+        reads: its inputs, side by side in this order: layers, and ``SOURCES``. Inputs of half the size are upsampled first. A
+            layer that runs once reads all three results of one that runs for each of the three colour frames.
         inputs: channels in.
         outputs: channels out, without the gate's one.
         component: the layer's row in the paper's cost table.
@@ -86,7 +86,7 @@ class Layer:
         stride: step of the window, in pixels of the input grid.
         gated: whether the output is multiplied by the sigmoid of a second convolution, to one channel (spec 7, ``G``).
         relu: whether a ReLU follows.
-        repeats: how often it runs for one frame: the history's layers run for each of the three colour frames.
+        repeats: its runs for one frame: the history's layers run for each of the three colour frames.
     """
 
     name: str
@@ -119,7 +119,7 @@ class Layer:
 
     @property
     def parameters(self) -> int:
-        """How many numbers its arrays hold."""
+        """The number of its parameters."""
         return sum(prod(shape) for _, shape in self.tensors())
 
     def multiply_adds(self, height: int, width: int) -> int:
