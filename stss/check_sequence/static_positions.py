@@ -38,6 +38,10 @@ ALONG = 0.9
 """Least cosine between a normal and the surface that positions make, if it is that surface's."""
 AGREE, DISAGREE = 0.9, 0.8
 """Share of the surfaces with such normals: from the first on they agree, below the second they do not."""
+MOVERS = 0.01
+"""Share of the surfaces with stencil 0 that move by themselves, from which there is a warning."""
+MOVER = 0.5
+"""Pixels: a surface whose motion is farther from that of the positions, with all its neighbours', moves by itself."""
 FLAT = 0.1
 """A surface counts where its positions' second differences are below this share of the first."""
 
@@ -56,6 +60,7 @@ class StaticVerdict:
         depth: median deviation from the distance along the view; -1 where depth falls with distance.
         normals: share of the surfaces along which normals point, as stored and after the one turn that fits best.
         holes: share of the static surfaces that are holes, over one frame; what leads off the frame does not count.
+        movers: share of the static surfaces whose motion is not that of what stands still, though that of the others is.
     """
 
     pixels: int
@@ -67,6 +72,7 @@ class StaticVerdict:
     depth: float
     normals: tuple[float, float]
     holes: float
+    movers: float
 
     @property
     def agrees(self) -> bool:
@@ -108,6 +114,9 @@ class StaticVerdict:
 
     def _others(self) -> list[Line]:
         lines: list[Line] = []
+        if self.agrees and self.movers > MOVERS:
+            text = f"stencil: 0 on {self.movers:.1%} of the surfaces though they move, by their motion and unlike the rest"
+            lines.append(("warning", f"{text}: give every moving object a number above 0, or is their motion wrong?"))
         if self.depth < 0:
             lines.append(
                 ("warning", "depth: falls with the distance that positions have; expected linear depth, it looks reversed")
@@ -186,7 +195,7 @@ class StaticGeometry:
 def judge_static_geometry(pairs: Iterable[tuple[Buffers, Buffers]]) -> StaticGeometry:
     """Look at pairs of neighbouring frames (t - 1, t), one in memory at a time."""
     samples: list[tuple[Array, ...]] = []
-    single: list[tuple[float, float, float, float, float]] = []
+    single: list[tuple[float, ...]] = []
     against: list[tuple[float, float]] = []
     within: list[tuple[float, float]] = []
     repeated: list[int] = []
@@ -219,7 +228,8 @@ def judge_static_geometry(pairs: Iterable[tuple[Buffers, Buffers]]) -> StaticGeo
         surfaces = before.stencil, now.stencil, before.normal, now.normal, before.position, now.position
         valid, inside = holes(now.motion, *surfaces, now.nov, now.depth), leads_inside(follow(now.motion))
         share = static_holes(np.where(inside, now.stencil, 1), now.normal, valid) or 0.0
-        single.append((max(earlier.residual, current.residual), _depth(now, current), *_normals(now), share))
+        movers = _movers(np.argwhere(static)[kept], np.linalg.norm(there[kept] - here - motions[0], axis=-1), size)
+        single.append((max(earlier.residual, current.residual), _depth(now, current), *_normals(now), share, movers))
     positions = _verdict(samples, single, size, mirrored=mirrored, relative=relative) if samples else None
     background = None
     if sky:
@@ -251,14 +261,14 @@ def _background(motion: Image, now: Buffers) -> list[tuple[float, float, float, 
 
 def _verdict(
     samples: list[tuple[Array, ...]],
-    single: list[tuple[float, float, float, float, float]],
+    single: list[tuple[float, ...]],
     size: tuple[int, int],
     *,
     mirrored: bool | None,
     relative: bool,
 ) -> StaticVerdict:
     true, motion, reversed_rows = (np.concatenate(of) for of in zip(*samples, strict=True))
-    residual, depth, along, turned, share = (float(np.median(of)) for of in zip(*single, strict=True))
+    residual, depth, along, turned, share, movers = (float(np.median(of)) for of in zip(*single, strict=True))
     errors = {what: _error(true, guess) for what, guess in _guesses(motion, reversed_rows, size, mirrored=mirrored).items()}
     own, best = errors.pop(""), min(errors, key=lambda what: errors[what])
     fit = tuple(_line(true[:, k], motion[:, k]) for k in (0, 1))
@@ -270,7 +280,21 @@ def _verdict(
         best, tells = "0, though the camera moves", True
     if moves <= 3 * residual and claims > MOVES:
         best, tells = "right if positions are the camera's: are they in view space, or relative to the camera?", True
-    return StaticVerdict(len(true), residual, own, best if tells else "", relative, fit, depth, (along, turned), share)
+    return StaticVerdict(len(true), residual, own, best if tells else "", relative, fit, depth, (along, turned), share, movers)
+
+
+def _movers(places: Array, apart: Array, size: tuple[int, int]) -> float:
+    """The share of places (N, 2) whose motion is apart (N,) from that of the positions, as that of all eight pixels around is.
+
+    A silhouette, on which renderers average motion, is thinner than that.
+    """
+    moves = np.zeros(size, np.bool_)
+    moves[tuple(places[apart > MOVER].T)] = True
+    return (
+        float(np.lib.stride_tricks.sliding_window_view(moves, (3, 3)).all(axis=(-1, -2)).sum()) / len(places)
+        if min(size) > 2
+        else 0.0
+    )
 
 
 def _is_repeated(before: Buffers, now: Buffers) -> bool:
