@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stss.check_sequence.jitter import ALIKE, Jitter, common_shift
 from stss.check_sequence.value_statistics import Line
@@ -228,7 +229,7 @@ def judge_static_geometry(pairs: Iterable[tuple[Buffers, Buffers]]) -> StaticGeo
         surfaces = before.stencil, now.stencil, before.normal, now.normal, before.position, now.position
         valid, inside = holes(now.motion, *surfaces, now.nov, now.depth), leads_inside(follow(now.motion))
         share = static_holes(np.where(inside, now.stencil, 1), now.normal, valid) or 0.0
-        movers = _movers(np.argwhere(static)[kept], np.linalg.norm(there[kept] - here - motions[0], axis=-1), size)
+        movers = _movers(here[:, ::-1], np.linalg.norm(there[kept] - here - motions[0], axis=-1), size)
         single.append((max(earlier.residual, current.residual), _depth(now, current), *_normals(now), share, movers))
     positions = _verdict(samples, single, size, mirrored=mirrored, relative=relative) if samples else None
     background = None
@@ -283,7 +284,7 @@ def _verdict(
     return StaticVerdict(len(true), residual, own, best if tells else "", relative, fit, depth, (along, turned), share, movers)
 
 
-def _movers(places: Array, apart: Array, size: tuple[int, int]) -> float:
+def _movers(places: NDArray[np.intp], apart: Array, size: tuple[int, int]) -> float:
     """The share of places (N, 2) whose motion is apart (N,) from that of the positions, as that of all eight pixels around is.
 
     A silhouette, on which renderers average motion, is thinner than that.

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -32,14 +32,15 @@ def find_buffers(header: Header, profile: Profile, buffers: Collection[str]) -> 
         buffers: the buffers that may be in this file.
 
     Raises:
-        InputError: several layers have the same buffers, so that ``{layer}`` could mean any of them.
+        InputError: several layers have the same buffers, so that ``{layer}`` could mean any of them; or the file lacks the view.
     """
-    layers = {name.rsplit(".", 2)[0] for name in header.channels if name.count(".") >= 2}
-    by_layer = {layer: _in_layer(header, profile, buffers, layer) for layer in sorted(layers)}
+    names = _names(header, profile.view)
+    layers = {name.rsplit(".", 2)[0] for name in names if name.count(".") >= 2}
+    by_layer = {layer: _in_layer(header.path, names, profile, buffers, layer) for layer in sorted(layers)}
     if not by_layer:
-        return _in_layer(header, profile, buffers, None)
-    most = max(len(names) for names in by_layer.values())
-    best = [layer for layer, names in by_layer.items() if len(names) == most]
+        return _in_layer(header.path, names, profile, buffers, None)
+    most = max(len(sources) for sources in by_layer.values())
+    best = [layer for layer, sources in by_layer.items() if len(sources) == most]
     if len({tuple(by_layer[layer].values()) for layer in best}) > 1:
         best = [layer for layer in LAYERS if layer in best] or best
         if best[0] not in LAYERS:
@@ -50,14 +51,40 @@ def find_buffers(header: Header, profile: Profile, buffers: Collection[str]) -> 
     return by_layer[best[0]]
 
 
-def _in_layer(header: Header, profile: Profile, buffers: Collection[str], layer: str | None) -> dict[str, Source]:
-    there = set(header.channels)
+def view_of(name: str, views: Collection[str]) -> str | None:
+    """The view that a channel's full name has among its parts, such as left in ``layer.pass.left.R``; None: it has none."""
+    return next((part for part in name.split(".")[:-1] if part in views), None)
+
+
+def _names(header: Header, view: str) -> dict[str, str]:
+    """A channel's name without its view -> the full name, of one view; the first one's channels need not have it in their names.
+
+    Raises:
+        InputError: the file has views, and not this one.
+    """
+    if not header.views:
+        return {name: name for name in header.channels}
+    if view and view not in header.views:
+        raise InputError(f"{header.path}: no view {view}; expected one of {', '.join(header.views)}")
+    chosen = view or header.views[0]
+    names = {name: name for name in header.channels if chosen == header.views[0] or view_of(name, header.views)}
+    for name in header.channels:
+        if view_of(name, header.views) == chosen:
+            parts = name.split(".")
+            parts.remove(chosen)
+            names[".".join(parts)] = name
+    return names
+
+
+def _in_layer(
+    path: Path, there: Mapping[str, str], profile: Profile, buffers: Collection[str], layer: str | None
+) -> dict[str, Source]:
     sources: dict[str, Source] = {}
     for buffer in buffers:
         for names in profile.channels[buffer]:
             full = tuple(name.replace("{layer}.", "" if layer is None else f"{layer}.") for name in names)
-            if there.issuperset(full):
-                sources[buffer] = Source(header.path, full)
+            if there.keys() >= {*full}:
+                sources[buffer] = Source(path, tuple(there[name] for name in full))
                 break
     return sources
 

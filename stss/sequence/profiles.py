@@ -114,6 +114,7 @@ class Profile:
         camera: alternatives of three attribute names that hold the camera's position, in scene units.
         constants: buffer -> number that stands in where there is no channel.
         hints: buffer -> what to do when it is missing.
+        view: of a stereo file, the one to read; "": the first.
     """
 
     name: str
@@ -130,6 +131,7 @@ class Profile:
     camera: tuple[Channels, ...] = ()
     constants: Mapping[str, float] = field(default_factory=dict[str, float])
     hints: Mapping[str, str] = field(default_factory=dict[str, str])
+    view: str = ""
 
     def file_of(self, buffer: str) -> str:
         """The end of the name of the buffer's file; "" for the file the others share."""
@@ -202,12 +204,13 @@ def _profile(path: Path, top: Table) -> Profile:
         camera=camera.names("attributes", 3) if "attributes" in camera.rest else (),
         constants={buffer: constants.number(buffer) for buffer in CONSTANTS if buffer in constants.rest},
         hints={buffer: hints.text(buffer) for buffer in BUFFERS if buffer in hints.rest},
+        view=top.text("view") if "view" in top.rest else "",
     )
     for table in (channels, files, hints):
         table.end(", ".join(BUFFERS))
     constants.end(", ".join(CONSTANTS))
     camera.end("attributes")
-    top.end("name, title, base, units_per_cm, color_domain, depth_normalisation and the tables "
+    top.end("name, title, base, view, units_per_cm, color_domain, depth_normalisation and the tables "
             "channels, motion, depth, normal, files, camera, constants, hints")  # fmt: skip
     return profile
 

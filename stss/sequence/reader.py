@@ -18,7 +18,7 @@ from stss.images.headers import MAX_BYTES, MAX_SIDE, Header, read_header
 from stss.images.windows import PixelWindow, union
 from stss.sequence.background import Background, background_motion, projection_of
 from stss.sequence.camera import CameraPose, camera_of, read_cameras
-from stss.sequence.channels import Source, find_buffers, missing_buffers
+from stss.sequence.channels import Source, find_buffers, missing_buffers, view_of
 from stss.sequence.conventions import linear_depth, require_depth_buffer, to_specification
 from stss.sequence.find_files import find_frames
 from stss.sequence.profiles import BUFFERS, CONSTANTS, Profile, load_profile, profile_names
@@ -199,20 +199,14 @@ class Sequence:
 
     @property
     def one_view(self) -> str:
-        """A note where the files have several views, of which the profile names one; empty where they have not."""
+        """A note where the files have several views, of which nobody chose one; empty where they have not."""
         frame = self.frames[self.numbers[0]]
         views = tuple(dict.fromkeys(view for path in frame.files for view in read_header(path).views))
-        if len(views) < 2 or "color" not in frame.sources:
+        if len(views) < 2 or self.profile.view or "color" not in frame.sources:
             return ""
-        names = frame.sources["color"].names
-        letter = names[0].rpartition(".")[2]
-        others = [n for n in read_header(frame.sources["color"].path).channels if n.endswith(f".{letter}") and n not in names]
-        other = next((name for view in views for name in others if view in name), None)
-        such = f", such as {other}" if other else ""
-        return (
-            f"views: the files have {', '.join(views)}; only {', '.join(names)} and what goes with them are read: "
-            f"for another view write its channels{such}, into a copy of the profile"
-        )
+        view = view_of(frame.sources["color"].names[0], views) or views[0]
+        others = " or ".join(f'view = "{other}"' for other in views if other != view)
+        return f"views: the files have {', '.join(views)}; only {view} is read: a profile with a base and {others} reads another"
 
     @property
     def solves_camera(self) -> bool:
@@ -399,7 +393,6 @@ def find_profile(path: Path) -> Profile:
     scores: dict[str, int] = {}
     refusals: list[InputError] = []
     layers: list[InputError] = []
-    views: tuple[str, ...] = ()
     for name in profile_names():
         table = load_profile(name)
         try:
@@ -409,7 +402,6 @@ def find_profile(path: Path) -> Profile:
         except InputError as error:
             refusals.append(error)
             continue
-        views = views or next((header.views for header in headers.values()), ())
         try:
             scores[name] = len(_frame_of(min(files_by_number), headers, table, None, None).sources)
         except InputError as error:
@@ -420,14 +412,7 @@ def find_profile(path: Path) -> Profile:
         raise refusals[0]
     best = [name for name, score in scores.items() if score == max(scores.values())]
     if len(best) > 1 or scores[best[0]] < LEAST:
-        why = (
-            f"; the files have views {', '.join(views)}: names of channels with a view need a profile of their own"
-            if views
-            else ""
-        )
-        raise InputError(
-            f"{path}: the channels fit no profile alone; say --profile {', '.join(profile_names())} or a TOML file{why}"
-        )
+        raise InputError(f"{path}: the channels fit no profile alone; say --profile {', '.join(profile_names())} or a TOML file")
     return load_profile(best[0])
 
 

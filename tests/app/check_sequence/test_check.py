@@ -12,6 +12,7 @@ from rich.console import Console
 from stss.check_sequence.motion_convention import CHOICES
 from stss.check_sequence.report import check, missing_buffers, print_report
 from stss.images.read_write import read_channels, read_header, write_channels
+from stss.sequence.profiles import load_profile
 from stss.sequence.reader import SequenceOptions, open_sequence
 from stss_ground.errors import InputError
 from tests.app.conftest import PLAIN, frame_channels, write_parts
@@ -235,7 +236,7 @@ def test_object_numbers_that_run_together_are_named(write_frames, least, half, l
 
 
 def test_the_other_eye_is_named(write_frames, tmp_path):
-    """Of the views in parts, and of those in names, one is read; both commands say which channels the other has."""
+    """Of the views in parts, and of those in names, one is read, which both commands say; a profile reads the other."""
     folder = write_frames([1, 2], size=(16, 24))
     for kind in ("parts", "names"):
         (tmp_path / kind).mkdir()
@@ -243,19 +244,27 @@ def test_the_other_eye_is_named(write_frames, tmp_path):
             channels = read_channels(folder / f"seq.{number:04d}.exr", read_header(folder / f"seq.{number:04d}.exr").channels)
             pixels, names = np.stack([*channels.values()], axis=-1), (*channels,)
             path = tmp_path / kind / f"seq.{number:04d}.exr"
+            other = np.where(np.array(names) == "R", 0.25, 1) * pixels
             if kind == "parts":
-                parts = [(pixels, names, {"view": (eye,), "oiio:subimagename": (eye,)}) for eye in ("left", "right")]
+                eyes = {"left": pixels, "right": other.astype(np.float32)}
+                parts = [(of, names, {"view": (eye,), "oiio:subimagename": (eye,)}) for eye, of in eyes.items()]
             else:
                 twice = (*names, *(f"right.{name}" for name in names))
                 attribute = oiio.TypeDesc("string[2]"), ("left", "right")
-                parts = [(np.concatenate([pixels, pixels], axis=-1), twice, {"multiView": attribute})]
+                parts = [(np.concatenate([pixels, other], axis=-1, dtype=np.float32), twice, {"multiView": attribute})]
             write_parts(path, *parts)
-        told = "views: the files have left, right; only R, G, B and what goes with them are read: "
+        told = 'views: the files have left, right; only left is read: a profile with a base and view = "right" reads another'
         said = call("run", tmp_path / kind, "-o", tmp_path / "out", *PLAIN, "--overwrite").stderr.splitlines()
         for lines in (texts(check(tmp_path / kind, SequenceOptions("stss")), "warning"), said):
             (text,) = (line for line in lines if "views" in line)
-            assert text.startswith(told)
-            assert "write its channels, such as right.R, into a copy of the profile" in text
+            assert text == told
+        left, right = (open_sequence(tmp_path / kind, load_profile("stss", view=eye)) for eye in ("left", "right"))
+        assert left.one_view == right.one_view == ""
+        np.testing.assert_array_equal(right.load(1).color[..., 0], 0.25 * left.load(1).color[..., 0])
+        np.testing.assert_array_equal(right.load(1).position, left.load(1).position)
+        assert all(name.startswith("right.") for source in right.frames[1].sources.values() for name in source.names)
+        with pytest.raises(InputError, match=r"seq\.0001\.exr: no view middle; expected one of left, right"):
+            open_sequence(tmp_path / kind, load_profile("stss", view="middle"))
     assert not [text for text in texts(check(folder, SequenceOptions("stss")), "warning") if "views" in text]
 
 

@@ -89,6 +89,10 @@ def bright(channels, frames, number):
     channels["R"] = np.where(channels["R"] > 0.5, 10 * channels["R"], channels["R"])
 
 
+def without_numbers(channels, frames, number):
+    channels["stencil.X"] *= 0
+
+
 @pytest.mark.parametrize("change", [lambda channels, frames, number: None, bright])
 def test_sound_frames(found, change):
     warnings, notes = found(change)
@@ -113,6 +117,7 @@ def test_sound_frames(found, change):
         ((late,), ("it looks as if the G-buffer is that of the frame before",)),
         ((half_rate,), ("position: in frames 1, ",)),
         ((of_depth(lambda z: 1 - 20 / z),), ("depth: ",)),
+        ((without_numbers,), ("stencil: 0 on ", "of the surfaces though they move")),
     ],
 )
 def test_each_mistake_is_named(found, changes, said):

@@ -348,6 +348,7 @@ KEYS = {
         world_normal(stored(1, 3), replace(stss.load_profile("stss").normal, bias=0.5, scale=2))[0].tolist() == [[[1, 1, 1]]]
     ),
     "base": lambda: loaded('base = "mitsuba"\nunits_per_cm = 2').depth.kind == "ray",
+    "view": lambda: stss.load_profile("blender", view="right").view == "right",
     "[files]": lambda: stss.load_profile("stss", files={"motion": "MV"}).file_of("motion") == "MV",
     "[camera]": lambda: stss.load_profile("stss", camera={"attributes": [["x", "y", "z"]]}).camera == (("x", "y", "z"),),
     "[constants]": lambda: stss.load_profile("stss", constants={"stencil": 0}).constants == {"stencil": 0},

@@ -176,13 +176,26 @@ def test_two_layers_without_a_profile_are_named(tmp_path):
             open_sequence(tmp_path, profile)
 
 
-def test_views_in_the_names_of_channels_are_named(tmp_path):
+def test_views_in_the_names_of_channels_are_found(tmp_path):
     """Blender's stereo files: LAYER.PASS.VIEW.CHANNEL."""
     names = [n.replace("{layer}", "ViewLayer") for of in load_profile("blender").channels.values() for n in of[0]]
     both = [f"{n.rpartition('.')[0]}.{view}.{n.rpartition('.')[2]}" for n in names for view in ("left", "right")]
     pixels = np.ones((4, 4, len(both)), np.float32)
     write_parts(tmp_path / "a.0001.exr", (pixels, tuple(both), {"multiView": (oiio.TypeDesc("string[2]"), ("left", "right"))}))
-    with pytest.raises(
-        InputError, match="the files have views left, right: names of channels with a view need a profile of their own"
-    ):
-        open_sequence(tmp_path)
+    sequence = open_sequence(tmp_path)
+    assert (sequence.profile.name, set(sequence.frames[1].sources)) == ("blender", set(BUFFERS))
+    assert sequence.frames[1].sources["depth"].names == ("ViewLayer.Depth.left.Z",)
+    right = open_sequence(tmp_path, load_profile("blender", view="right"))
+    assert right.frames[1].sources["depth"].names == ("ViewLayer.Depth.right.Z",)
+
+
+def test_no_view_takes_what_another_one_has_alone(tmp_path):
+    """As Nuke writes them: the first view without its name. The second has no depth of its own."""
+    names = ["R", "G", "B", "depth.Z", "right.R", "right.G", "right.B"]
+    attribute = oiio.TypeDesc("string[2]"), ("left", "right")
+    write_parts(tmp_path / "a.0001.exr", (np.ones((4, 4, 7), np.float32), tuple(names), {"multiView": attribute}))
+    with pytest.raises(InputError, match=r"no depth: profile stss expects depth\.Z"):
+        open_sequence(tmp_path, load_profile("stss", view="right"))
+    with pytest.raises(InputError) as caught:
+        open_sequence(tmp_path, load_profile("stss", view="left"))
+    assert "no depth" not in str(caught.value)
