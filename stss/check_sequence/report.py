@@ -258,7 +258,7 @@ def _storage(sequence: Sequence, numbers: list[int], tables: dict[str, object]) 
         source = sequence.frames[number].sources[buffer]
         header = read_header(source.path)
         formats = [header.formats[name] for name in source.names]
-        compression = ", ".join(dict.fromkeys(header.compression[name] for name in source.names))
+        compression = ", ".join(dict.fromkeys(header.compression[name].partition(":")[0] for name in source.names))
         channels[buffer] = {"channels": list(source.names), "formats": formats, "compression": compression}
         if buffer != "color" and any(map(header.lossy, source.names)):
             lossy.setdefault(compression, []).append(buffer)

@@ -23,6 +23,8 @@ from stss.images.windows import PixelWindow
 from stss_ground.errors import InputError
 from stss_ground.regular_file import require_regular
 
+DWA_LEVEL = 45.0
+"""OpenEXR's own level of DWA, of files that name none."""
 MAX_SIDE = 16384
 MAX_CHANNELS = 1024
 MAX_BYTES = 4 << 30
@@ -51,7 +53,7 @@ class Header:
         windows: name -> data window of the channel's part: the pixels that are there.
         channels: full names. Where parts of a multipart file repeat a name, the later one is ``PART.NAME``.
         formats: name -> "half", "float", "uint32", "uint8", "uint16".
-        compression: name -> "zip", "dwaa", ... of the channel's part; "" where the format has no choice of it.
+        compression: name -> "zip", "dwaa:45", ... of the channel's part; "" where the format has no choice of it.
         attributes: metadata of all parts; where parts differ, the first part's value.
         views: a stereo file's, such as "left" and "right", the default one first.
     """
@@ -165,6 +167,8 @@ def locate(path: Path, image: oiio.ImageInput) -> tuple[Header, dict[str, tuple[
             formats[full] = _FORMATS.get(kind := str(spec.channelformat(index)), kind)
             windows[full] = data
             compression[full] = spec.get_string_attribute("compression")
+            if compression[full].startswith("dwa"):
+                compression[full] += f":{spec.get_float_attribute('openexr:dwaCompressionLevel', DWA_LEVEL):g}"
         own = _attributes(spec)
         views |= dict.fromkeys(_words(own.get("multiView")) or _words(own.get("view")))
         attributes = own | attributes

@@ -3,13 +3,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from stss.frames.buffers import Buffers
 from stss.images.color import transfer
-from stss.images.headers import read_header
+from stss.images.headers import Header, read_header
 from stss.sequence.reader import Sequence
 from stss_ground.errors import InputError
 from stss_ref.arrays import Array
@@ -21,6 +22,11 @@ NOT_UNIT = 0.01
 MIXED_NORMALS = 0.02
 """Share of mixed normals from which frames count as antialiased. Found: up to 0.009 in aliased frames, also with bump maps and leaves;
 0.066 and more in antialiased ones."""
+DWA_LEVEL, DWA_NOT_UNIT, DWA_MIXED = 200.0, 0.05, 0.01
+"""The same two where DWA changed the normals, up to this level (45 is usual). Found: up to 0.0023 in aliased frames, 0.030 and more in
+antialiased ones."""
+NOTHING = math.inf, math.inf
+"""The same two for normals that say nothing."""
 MIXED_COLORS = 0.47
 """Share of edges with a colour in between from which frames count as antialiased. Found: up to 0.34 in aliased frames, by their
 textures; 0.59 and more in antialiased ones."""
@@ -52,34 +58,44 @@ def judge_sampling(sequence: Sequence) -> Sampling:
 
     An antialiased G-buffer has normals that are not of unit length along every silhouette. If the G-buffer is aliased, the colour
     decides: where the surface's normal jumps from one pixel to the next, an aliased colour jumps as well, and an antialiased one
-    has a pixel in between. Where neither tells, frames count as aliased, since engines give such frames. Normals whose compression
-    changed their length tell nothing.
+    has a pixel in between. Where neither tells, frames count as aliased, since engines give such frames. Normals that B44 or a strong
+    DWA changed tell nothing; PXR24 changes no length that counts here.
     """
     rendered = sorted(sequence.rendered)
     numbers = sorted({rendered[i * (len(rendered) - 1) // (LOOKED_AT - 1)] for i in range(LOOKED_AT)}) if rendered else []
     linear = sequence.profile.color_domain == "linear"
     hit = mixed = edges = between = 0
-    lossy = False
+    apart, share = NOT_UNIT, MIXED_NORMALS
+    limits = {(apart, share)}
     for number in numbers:
         try:
             buffers = sequence.load(number)
         except InputError:
             continue
         source = sequence.frames[number].sources["normal"]
-        lossy |= any(map(read_header(source.path).lossy, source.names))
+        limits |= {_limits(read_header(source.path), name) for name in source.names}
+        apart, share = max(limits)
         # A sky may have a depth, of the far plane or of a dome, but it has no normal to be mixed.
         surface = np.isfinite(buffers.depth) & np.isfinite(buffers.normal).all(axis=-1) & (buffers.normal != 0).any(axis=-1)
         length = np.linalg.norm(buffers.normal[surface].astype(np.float64), axis=-1)
-        hit, mixed = hit + length.size, mixed + int((np.abs(length - 1) > NOT_UNIT).sum())
+        hit, mixed = hit + length.size, mixed + int((np.abs(length - 1) > apart).sum())
         count, of = _colors_between(buffers, linear=linear)
         edges, between = edges + of, between + count
-    if mixed > MIXED_NORMALS * hit and not lossy:
+    if mixed > share * hit:
         return Sampling(True, f"{mixed / hit:.1%} of the normals are mixtures, not of unit length")
     if edges < MIN_EDGES:
-        reason = "their compression changed the normals" if lossy else "normals are of unit length"
+        reason = "their compression changed the normals" if apart == math.inf else "normals are of unit length"
         return Sampling(False, f"{reason}, and only {edges} edges show whether colours are")
-    share = f"{between / edges:.0%} of the surfaces' edges have a colour in between"
-    return Sampling(between > MIXED_COLORS * edges, share)
+    reason = f"{between / edges:.0%} of the surfaces' edges have a colour in between"
+    return Sampling(between > MIXED_COLORS * edges, reason)
+
+
+def _limits(header: Header, name: str) -> tuple[float, float]:
+    """From which difference of its length a normal is a mixture, and which share of mixtures says that frames are antialiased."""
+    kind, _, level = header.compression[name].partition(":")
+    if not header.lossy(name) or kind == "pxr24":
+        return NOT_UNIT, MIXED_NORMALS
+    return (DWA_NOT_UNIT, DWA_MIXED) if kind.startswith("dwa") and float(level) <= DWA_LEVEL else NOTHING
 
 
 def _colors_between(buffers: Buffers, *, linear: bool) -> tuple[int, int]:

@@ -61,6 +61,21 @@ def test_frames_say_how_they_were_sampled(rendered, kind, antialiased, reason):
     assert json.loads(report.to_json())["sampling"]["antialiased"] is antialiased
 
 
+@pytest.mark.parametrize("compression", ["zip", "pxr24", "dwaa:45", "dwab:200", "dwaa"])
+@pytest.mark.parametrize("kind", ["aliased", "all"])
+def test_mixed_normals_are_seen_behind_lossy_compression(rendered, tmp_path, kind, compression):
+    """Colours alone would not tell: those of the antialiased frames are aliased here."""
+    for number in range(2):
+        path, colors = demo_path(rendered / kind, number), demo_path(rendered / "aliased", number)
+        channels = {
+            **read_channels(path, read_header(path).channels),
+            **read_channels(colors, [name for name in read_header(colors).channels if name in "RGB"]),
+        }
+        pixels = np.stack([*channels.values()], axis=-1)
+        write_parts(demo_path(tmp_path, number), (pixels, (*channels,), {"compression": (compression,)}))
+    assert judge_sampling(open_sequence(tmp_path, "stss")).antialiased is (kind == "all")
+
+
 @pytest.mark.parametrize(("beauty", "others"), [("zip", "dwaa:1000"), ("dwaa:45", "zip")])
 def test_each_part_has_its_own_compression(rendered, tmp_path, beauty, others):
     """What it changed in the normals is no antialiasing; what it changed in the colour alone is no warning."""
