@@ -40,7 +40,7 @@ def this_platform() -> str:
 
 
 def install(packages: Path, target: str, python: str) -> None:
-    """Build our wheel, and put it and what it needs into a folder: the wheels' files as they are."""
+    """Build our wheel, and put it and its dependencies into a folder: the wheels' files as they are."""
     uv = shutil.which("uv", path=str(Path(sys.executable).parent)) or shutil.which("uv")
     if uv is None:
         sys.exit("build.py: uv is not installed: pip install uv")

@@ -28,7 +28,7 @@ HARMLESS = {
 }  # fmt: skip
 """Options of ``stss run`` that a scene of somebody else may name, if they name no path: they read and write no further file."""
 PACKAGES = Path(__file__).parent / "packages"
-"""stss and what it needs. Not in the manifest's list of wheels: Blender itself would then take our NumPy, and other add-ons with it."""
+"""stss and its dependencies. Not in the manifest's list of wheels: Blender itself would then take our NumPy, and other add-ons with it."""
 SUFFIXES = {".exr", ".png"}
 POLL = 0.1
 """Seconds between two looks at the program, in which Blender does not draw."""
@@ -158,7 +158,7 @@ def supersample(folder: Path, first: int, command: Sequence[str] = (), options: 
         The folder of the frames.
 
     Raises:
-        FilmError: with what stss said.
+        FilmError: with the message of stss.
     """
     if not command and not (PACKAGES / "stss").is_dir():
         raise FilmError(f"{PACKAGES}: no stss: install the zip that build.py writes, or name a command in the preferences")

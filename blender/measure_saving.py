@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What a film in Cycles costs at full size and rate, by samples, and what half of both with stss costs; and how good each is.
+"""The cost of a film in Cycles at full size and rate, by samples, and at half of both with stss; and the quality of each.
 
 Runs where Blender is a Python module (`pip install bpy`). stss runs as a program of its own::
 
@@ -48,7 +48,7 @@ def seconds(work: Callable[[], object]) -> float:
 
 
 def render_full(folder: Path, samples: int, seed: int) -> None:
-    """The scene's frames as they are, with so many samples a pixel."""
+    """The scene's frames as they are, with this number of samples a pixel."""
     scene = bpy.context.scene
     image, cycles = scene.render.image_settings, scene.cycles
     if hasattr(image, "media_type"):  # Blender 5

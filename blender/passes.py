@@ -16,9 +16,9 @@ SOCKETS = {"basecolor": "Base Color", "metallic": "Metallic", "roughness": "Roug
 
 
 def set_up(scene: Any, layer: Any) -> list[str]:
-    """Turn on passes, add AOVs to the view layer and to every material, number what moves.
+    """Turn on passes, add AOVs to the view layer and to every material, number moving objects.
 
-    What is there already stays. The result is in the file that the user saves.
+    Passes and nodes that are there already stay. The result is in the file that the user saves.
 
     Returns:
         A line for each material that has no Principled BSDF: its AOVs are 0.
@@ -60,7 +60,7 @@ def _show(material: Any) -> bool:
 
 
 def _number(scene: Any) -> None:
-    """Give each moving object a pass index of its own; 0 stays for what rests."""
+    """Give each moving object a pass index of its own; 0 stays for objects at rest."""
     used_numbers = {thing.pass_index for thing in scene.objects}
     free = (number for number in range(1, 32768) if number not in used_numbers)
     for thing in scene.objects:

@@ -170,7 +170,7 @@ def conform(
 
 @dataclass(frozen=True)
 class PortChoice:
-    """The port that the user chose, and what it says of itself: the options of these names."""
+    """The user's choice of a port, and of its abilities: the options of these names."""
 
     spec: str | None
     program: str | None

@@ -28,7 +28,7 @@ class Bound:
 
 
 BOUNDS = {
-    # what the suite allows a port; docs/conformance.md derives each row
+    # the suite's, for a port; docs/conformance.md derives each row
     "fraction": Bound(
         1, 0, "m - floor(m), which rounds for m between -1 and 0 only; scale: the fraction; exact where it is held"
     ),
@@ -66,7 +66,7 @@ BOUNDS = {
         96, 0, "a place 36: luma 4, product, 12 sums twice, quotient, weights 3 of the contrast; four, halved; 4; first colour 20"
     ),
     "image": Bound(16, 0, "upsampled colour: 10; pixel shuffle and its sum; the sigmoids' own; scale: largest output"),
-    # what `stss conform --onnx` allows an operator besides gamma_n of its sums
+    # of `stss conform --onnx`, for an operator, besides gamma_n of its sums
     "graph.division": Bound(
         4, 0, "OpenCL's 2.5 ulp of a quotient and 3 of a root, an ulp being at most 2 u; and the operands once"
     ),
@@ -85,7 +85,7 @@ BOUNDS = {
         2, 0, "scale 9 C: every product at most 1 in mean square by the tests' weights, gamma_n to first order"
     ),
     "stage.cl": Bound(0, 2e-5, "required of the whole network; no stage may lose more"),
-    # what is asked of the OpenCL backend
+    # the OpenCL backend's
     "network.cl.float32": Bound(0, 2e-5, "required with Winograd; measured 5e-7 (PoCL 3.0, x86-64)"),
     "network.cl.float32-direct": Bound(0, 5e-6, "required without; measured 6e-7 (PoCL 3.0, x86-64)"),
     "network.cl.half": Bound(
@@ -94,7 +94,7 @@ BOUNDS = {
     "network.cl.bfloat16": Bound(
         0, 3.2e-2, "activations of order 1 stored with u = 2**-8, eightfold for depth, as half; emulated on Zen 3: 6e-3"
     ),
-    # what is asked of the reference
+    # the reference's
     "network.float64": Bound(0, 1e-11, "required: float64 reference data; 30 layers of at most 1152-term sums lose less"),
     "network.float32": Bound(0, 2e-6, "required: float32; the authors' own float32 run departs by 8e-7"),
     "network.cl": Bound(0, 2e-5, "required: OpenCL in float32 against the reference in float64"),

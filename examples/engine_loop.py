@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""An engine's loop, whole: what it hands over for each display frame, and what it shows.
+"""An engine's loop, whole: its planes for each display frame, and its picture.
 
 ``python engine_loop.py shown`` writes sixty PNG of 320 x 192.
 

@@ -24,7 +24,7 @@ class Port:
     name, dtype = "my first port", "float32"
 
     def stages(self) -> frozenset[str]:
-        """What this port has; the judge leaves out the rest."""
+        """The stages of this port; the judge leaves out the rest."""
         return frozenset({"warp"})
 
     def run(self, stage: str, inputs: dict[str, Floats], weights: object = None) -> dict[str, NDArray[np.generic]]:

@@ -87,7 +87,7 @@ def demo(
     Raises:
         InputError: ``out`` holds an earlier demo and ``overwrite`` is not set, or cannot be written to.
     """
-    own_weights = None if weights == AUTO else load(weights)  # what is wrong with them is said before anything is rendered
+    own_weights = None if weights == AUTO else load(weights)  # their errors come before anything is rendered
     folders = [folder_of(out / "output"), folder_of(out / "bilinear"), page_folder(out / "page.html")]
     require_places(reads=[Path(weights)], folders=[_folder(out), *folders])
     start, end = Event(), Event()
@@ -112,7 +112,7 @@ def demo(
         rendering = pool.submit(render_all)
         rendering.add_done_callback(lambda _: start.set())
         try:
-            start.wait()  # what stands in the way of the first frame is said at once
+            start.wait()  # an error of the first frame is told at once
             if backend == "cl" and not rendering.done():
                 _test_device(own_weights, compute, tell)
             sequence = rendering.result()

@@ -99,7 +99,7 @@ class Frame:
         return result, valid
 
     def expect(self, size: tuple[int, int]) -> None:
-        """Build in advance what ``start`` needs for planes of (height, width), and have the runtime load or compile it."""
+        """Build in advance all that ``start`` needs for planes of (height, width), and have the runtime load or compile it."""
         layers = self.network.layers(*size)
         self._preparation(layers).load()
         layers.load()
@@ -158,7 +158,7 @@ class FrameStages:
 
 
 def preparation(device: Device, layers: Layers, gather: Gather) -> Prepare:
-    """The image-space stages that fill the inputs of ``layers``: of what its weights read, by the hole test that they were trained with."""
+    """The image-space stages that fill the inputs of ``layers``, by the choices of its weights."""
     options = PrepareOptions(
         gather, layers.second_color, layers.hole_test, layers.hole_fill, layers.colors_read, layers.reads_history
     )

@@ -21,7 +21,7 @@ UPSAMPLED = ".upsampled"
 
 @dataclass(frozen=True)
 class Convolution:
-    """A layer, of what ``reads`` names side by side."""
+    """A layer of the results ``reads``, side by side."""
 
     layer: Layer
     reads: tuple[str, ...]
@@ -39,7 +39,7 @@ class Convolution:
 
 @dataclass(frozen=True)
 class Upsampling:
-    """What ``reads`` names, side by side, at twice the size with corners aligned."""
+    """The results ``reads``, side by side, at twice the size with corners aligned."""
 
     name: str
     reads: tuple[str, ...]
@@ -60,7 +60,7 @@ def nodes(layers: Mapping[str, Layer] = BY_NAME) -> Iterator[Node]:
     """The nodes of a network, each behind those that it reads.
 
     Args:
-        layers: those that run, in order, with what they still read (`stss_cl.liveness.find_live`).
+        layers: those that run, in order, with their remaining inputs (`stss_cl.liveness.find_live`).
     """
     is_reshaded = False
     for layer in layers.values():
@@ -127,7 +127,7 @@ def evaluate(
     """Compute the network up to the residual at the frame's size, ``outc``.
 
     Args:
-        do: what computes.
+        do: the operations.
         color, gbuffer, mask, history: as in `stss_ref.network.network`, padded to multiples of 8.
         graph: of `nodes`.
         known: results, by name, that nodes read and ``graph`` does not compute.

@@ -28,7 +28,7 @@ def is_tiny(tensor: NDArray[Any]) -> Mask:
 
 
 def drop_tiny(weights: Weights) -> Weights:
-    """The same weights with 0 in place of what is below ``TINY``."""
+    """The same weights with 0 in place of numbers below ``TINY``."""
     return weights.convert(lambda tensor: np.where(is_tiny(tensor), np.float32(0), tensor))
 
 
@@ -36,7 +36,7 @@ class Live(NamedTuple):
     """The part of the network on which the image depends.
 
     Attributes:
-        layers: those that must run, in order, with what they still read and how many units they still have.
+        layers: those that must run, in order, with their remaining inputs and units.
         once: names of those whose result no frame changes.
         tensors: their arrays.
     """

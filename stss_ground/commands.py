@@ -16,7 +16,7 @@ from stss_ground.output.places import require_places
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 Sections = Mapping[str, Mapping[str, tuple[str, str]]]
-"""Heading -> command -> ``module:attribute`` and what the command does, in one line."""
+"""Heading -> command -> ``module:attribute`` and the command's purpose, in one line."""
 
 
 def places_of(ctx: click.Context) -> tuple[dict[str, Path], list[Path], list[Path]]:

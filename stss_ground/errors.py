@@ -3,13 +3,13 @@
 
 
 class UserError(Exception):
-    """Something that the user gave or has is not what it must be; the message is one line."""
+    """The user's mistake, in one line."""
 
 
 class InputError(UserError):
-    """A file, channel, option or sequence is not what it must be.
+    """A file, channel, option or sequence is wrong.
 
-    The message says what it is about, what was expected and what was found.
+    The message names it, and says what was expected and what was found.
     """
 
 

@@ -50,13 +50,13 @@ def run_guarded(command: click.Command, *mistakes: type[Exception]) -> None:
             _fail(f"{error.filename}: {error.strerror}")
         if error.errno == errno.ENOMEM:
             _fail(_NO_MEMORY)
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is still in the buffer would fail again
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # the rest of the buffer would fail again
         _fail(f"what was printed cannot be written: {error.strerror}" if error.errno in _FULL else f"{error.strerror or error}")
     sys.exit(status if isinstance(status, int) else 0)
 
 
 def _hold_standard_streams() -> None:
-    """Open the null device where a standard stream is closed: else the next file that is opened would get what is printed."""
+    """Open the null device where a standard stream is closed: else the next file that is opened would get the output."""
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         try:
             os.fstat(number)

@@ -70,7 +70,7 @@ class WrittenFile(_Place):
 
 
 class WrittenFolder(_Place):
-    """A folder that files are written into. The command compares them with what it reads: only it knows their names."""
+    """A folder that files are written into. The command compares them with its inputs: only it knows their names."""
 
 
 class Number(click.FloatRange):

@@ -24,7 +24,7 @@ class Advance(Protocol):
     """The function that a command calls while it works."""
 
     def __call__(self, text: str = "", *, done: int = 1) -> None:
-        """Count what is done, and show ``text`` beside the bar."""
+        """Count finished steps, and show ``text`` beside the bar."""
         ...
 
 
@@ -36,8 +36,8 @@ def show_progress(
 
     Args:
         console: where to show it.
-        total: of what will be done.
-        unit: what is counted.
+        total: number of steps.
+        unit: the name of a step.
         text: stands before the bar until the first `Advance`.
         every: seconds between the lines in a log file.
 
@@ -51,7 +51,7 @@ def show_progress(
             took = time.monotonic() - start
             rate = count / took
             pace = f", {rate:.2f} {unit}/s, {timedelta(seconds=round((total - count) / rate))} left" if count else ""
-            # With the time so far no two lines are equal: who reads the log sees that it goes on.
+            # With the time so far no two lines are equal: a reader of the log sees that it goes on.
             line = f"{count} of {total} {unit} in {timedelta(seconds=round(took))}{pace}" + (f": {label}" if label else "")
             console.print(line, soft_wrap=True, markup=False, highlight=False)
 
@@ -70,7 +70,7 @@ def show_progress(
             yield advance
         finally:
             ended.set()
-            if lines:  # its last line is out before what is said next
+            if lines:  # its last line is out before the next message
                 lines.join()
 
 

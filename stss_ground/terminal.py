@@ -44,7 +44,7 @@ class Terminal(Console):
             self.width = WIDE
 
     def render_str(self, text: str, **how: Any) -> Text:
-        """See ``rich.console.Console``; what it is given besides markup is text."""
+        """See ``rich.console.Console``; all arguments but markup are text."""
         return super().render_str("".join(c if c == "\n" else _shown(c) for c in text), **how)
 
 

@@ -20,11 +20,11 @@ from training.train import Settings, infancy, rate_at, start
 from training.validate import Means, tensors, validate
 
 ROWS = ("whole", "gbuffer", "history", "masking", "erm", "EF", "SF")
-"""What is left out; the last two: trained without EFs, and without SFs."""
+"""The parts that are left out; the last two: trained without EFs, and without SFs."""
 
 
 def without_attention(light: Tensor, _material: Tensor, mask: Tensor) -> Tensor:
-    """`Network.attend` without the attention: what it would gather from."""
+    """`Network.attend` without the attention: its values."""
     return light * mask
 
 

@@ -23,7 +23,7 @@ from stss_ref.rrm import draw_rectangle, rrm
 Random = np.random.Generator
 Augment = Literal["all", "upright", "none"]
 AUGMENTS: tuple[Augment, ...] = get_args(Augment)
-"""What is changed besides the crop: all that is told above; all but what no renderer's frames show; nothing."""
+"""The changes besides the crop: all of the above; all but those that no renderer's frames show; none."""
 NORMAL = slice(3, 6)
 Y_UP = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]], np.float32)
 """Turns vectors of a world with z up into one with y up."""
@@ -82,7 +82,7 @@ def augment(
         inputs: (N, H, W, 35) or more channels.
         truth: (N, 2H, 2W, 3).
         random: where chance comes from.
-        how: what is changed.
+        how: the changes.
         colors, motions: the channels of colours and of motions.
     """
     if how == "none":
@@ -117,7 +117,7 @@ def depths_at_random(depth: Array, random: Random) -> Array:
 
     Depth is put between the smallest and the largest of a frame (spec 0): a wide plain presses all that matters into a twentieth of
     the range, a room fills it. A network that saw the plain alone does not know the room's. Half of the crops
-    are multiplied, half raised to a power, which keeps apart what is far. The background stays at 1.
+    are multiplied, half raised to a power, which keeps far values apart. The background stays at 1.
     """
     keep, power, middle = random.random() < 0.25, random.random() < 0.5, math.exp(random.uniform(*np.log(MIDDLE)))
     near = depth < BACKGROUND

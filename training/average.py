@@ -46,7 +46,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _unfold(value: Any) -> Any:
-    """JSON within text becomes what it stands for: the escapes of a mean of means would double each time."""
+    """JSON within text becomes its value: the escapes of a mean of means would double each time."""
     if isinstance(value, str) and value[:1] in ("[", "{"):
         return _unfold(json.loads(value))
     if isinstance(value, dict):

@@ -17,7 +17,7 @@ from stss.quality.metrics import C1, C2, LUMA, LUMA_OFFSET, PEAK, SIGMA, WINDOW
 PERCEPTUAL = 0.01
 """Weight of the perceptual term (spec 6)."""
 STRUCTURE = 25.0
-"""The perceptual distance is so many times 1 - SSIM: with the 0.01 of spec 6, as much as L1 on aliased frames, SSIM about 0.8."""
+"""The perceptual distance over 1 - SSIM: with the 0.01 of spec 6, as much as L1 on aliased frames, SSIM about 0.8."""
 
 
 def trusted(mask: Tensor) -> Tensor:
@@ -67,7 +67,7 @@ def unsteadiness(error: Tensor, motion: Tensor) -> Tensor:
 
     Args:
         error: output less truth (N, 3, 2H, 2W); samples 0 and 1, 2 and 3 and so on are partners.
-        motion: (N, 2, H, W) low-resolution pixels, a sample to its partner. What leads outside the crop does not count.
+        motion: (N, 2, H, W) low-resolution pixels, a sample to its partner. Motion that leads outside the crop does not count.
     """
     warped, followed = led_along(error.unflatten(0, (-1, 2)).flip(1).flatten(0, 1), motion)
     return ((error - warped).abs().mean(1) * followed).sum() / followed.sum().clamp(min=1)

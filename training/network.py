@@ -17,7 +17,7 @@ from stss_ref.constants import HoleFill
 from stss_ref.weights import LAYERS, TENSORS, Layer, SecondColor, Weights, check
 
 Without = Literal["", "history", "deep"]
-"""What a network does not compute: nothing; the history, whose features are then the same everywhere (`hold_history`); or all that is
+"""The parts that are not computed: none; the history, whose features are then the same everywhere (`hold_history`); or all that is
 below half size, which `training.prune` made worth nothing."""
 
 
@@ -29,7 +29,7 @@ FEATURES = {"reshaded": "reshaded", "feature": HISTORY, "up1": "up1.conv.double_
 
 
 def _shallow() -> Iterator[Layer]:
-    """The layers from half size on, with what they read of it."""
+    """The layers from half size on, with their inputs of it."""
     for layer in LAYERS:
         if layer.component == "backbone" and layer.divisor <= 2:
             yield replace(layer, reads=tuple(name for name in layer.reads if divisor_of(name) <= 2))
@@ -40,7 +40,7 @@ GRAPHS: Mapping[Without, Sequence[Node]] = {
     "history": tuple(nodes({layer.name: layer for layer in LAYERS if layer.component != "history"})),
     "deep": tuple(nodes({layer.name: layer for layer in _shallow()})),
 }
-"""What is computed; without ``history``, its feature is known."""
+"""The nodes that are computed; without ``history``, its feature is known."""
 
 
 class Rectifier(nn.Module):
@@ -103,12 +103,12 @@ def _enlarging(length: int, like: Tensor) -> Tensor:
 
 
 class Network(nn.Module):
-    """STSSNet on batches. H and W are multiples of 8. Its layers, and what they read, are those of `stss_cl.graph`.
+    """STSSNet on batches. H and W are multiples of 8. Its layers and their inputs are those of `stss_cl.graph`.
 
     Source: spec 7, 8; paper, Fig. 5.
 
     Args:
-        without: what is left out.
+        without: the part that is left out.
         second_color: see `stss_ref.frame.prepare`; which of both is read where a batch has both.
     """
 
@@ -197,7 +197,7 @@ def _place(network: nn.Module, name: str, layer: nn.Module) -> None:
 
 
 def base(color: Tensor) -> Tensor:
-    """What the residual is added to: the colour (N, 6, H, W), its first three channels, at twice the size."""
+    """The image without the residual: the first three channels of the colour (N, 6, H, W) at twice the size."""
     return nn.functional.interpolate(color[:, :3], scale_factor=2, mode="bilinear", align_corners=False)
 
 

@@ -25,13 +25,13 @@ from training.network import Network, load_weights
 from training.validate import tensors
 
 READER = "up2.conv.double_conv.0"
-"""The one layer that reads both half size and what is below it."""
+"""The one layer that reads both half size and features below it."""
 FRAMES = 200
-"""So many frames of each kind are enough for a mean."""
+"""Frames of each kind, enough for a mean."""
 
 
 def mean_below(weights: Weights, shards: list[Shard]) -> np.ndarray:
-    """(32,) mean of what half size reads from below it, over the training split's SFs and EFs."""
+    """(32,) mean of the features below half size that it reads, over the training split's SFs and EFs."""
     network, means = Network(), list[torch.Tensor]()
     load_weights(network, weights)
     with torch.no_grad():

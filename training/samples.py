@@ -121,7 +121,7 @@ def pack(inputs: NetworkInputs, motion: Image, of_pixels: Image) -> Image:
 
 
 def unpack(packed: Array) -> NetworkInputs:
-    """The network's inputs of what `pack` made."""
+    """The network's inputs of an array of `pack`."""
     height, width, _ = packed.shape
     history = np.moveaxis(packed[..., 12:24].reshape(height, width, 3, 4), 2, 0)
     color = np.concatenate([packed[..., :3], packed[..., 20:23]], axis=-1)
@@ -195,7 +195,7 @@ def split_of(scene: str) -> str:
 
 
 FILES = {"inputs.npy", "truth.npy", "index.json"}
-"""What a shard holds."""
+"""The files of a shard."""
 
 
 def require_shard(folder: Path, reads: Sequence[Path] = ()) -> None:

@@ -26,15 +26,15 @@ AVERAGE = 0.999
 
 @dataclass(frozen=True)
 class Aims:
-    """What a step makes smaller, and how; constant in a run but for ``young``.
+    """The aims of a step, and their weights; constant in a run but for ``young``.
 
     Attributes:
         half: whether the network computes in bfloat16.
-        young: the share of what only helps a beginner, see `infancy`.
+        young: the share of the aids for a beginner, see `infancy`.
         squares: the squared error's share of the loss.
-        similar: what 1 - SSIM is multiplied by, in SFs and in EFs.
+        similar: the factor of 1 - SSIM, in SFs and in EFs.
         extrapolated, holes: see `training.loss.squared`.
-        steady: what `training.loss.unsteadiness` is multiplied by.
+        steady: the factor of `training.loss.unsteadiness`.
     """
 
     half: bool = False
@@ -79,8 +79,8 @@ def objective(network: Network, heads: Heads, batch: tuple[Tensor, ...], enlarge
     """The loss of a batch.
 
     Args:
-        network: what is trained.
-        heads: what helps a beginner.
+        network: is trained.
+        heads: aids for a beginner.
         batch: color, gbuffer, mask, history, truth, motion, see `training.augment.Batch`.
         enlarged: the colour at twice the size, `training.network.base`.
         trust: where the mask is above 0 at twice the size, `training.loss.trusted`.

@@ -39,9 +39,9 @@ from training.validate import Means, bilinear, evaluating, tensors, validate
 class Settings:
     """Options that change the numbers of a run, besides the data; a resumed run may have more steps.
 
-    ``young``: what `infancy` is multiplied by. ``squares``: the share of the squared error in the loss that stays after it.
+    ``young``: the factor of `infancy`. ``squares``: the share of the squared error in the loss that stays after it.
     ``history``: whether the history is used.
-    ``structure``, ``structure_ef``: the perceptual distance is so many times 1 - SSIM, in SFs and in EFs.
+    ``structure``, ``structure_ef``: the perceptual distance over 1 - SSIM, in SFs and in EFs.
     ``extrapolated``: the share of EFs in the squared error.
     ``masking``: Random Reshading Masking. ``holes``: how often errors in reshading regions count in the squared error.
     ``augment``: see `training.augment.augment`.

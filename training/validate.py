@@ -70,7 +70,7 @@ def _score(model: Model, place: StoredSample, device: torch.device):
 
 
 def evaluating(state: dict[str, Tensor], like: Network) -> Model:
-    """A network with the tensors of ``state`` that computes what ``like`` does."""
+    """A network like ``like``, with the tensors of ``state``."""
     copy = Network(like.without, like.second_color).to(next(iter(state.values())).device).to(memory_format=torch.channels_last)
     copy.load_state_dict(state)
     return copy.eval()

@@ -103,7 +103,7 @@ def _beyond_footprint(inputs: dict[str, NDArray[Any]], at: Reach, arithmetic: Ar
 
 
 def reach_of_footprints(position: Array, footprints: float, unit: float) -> tuple[Float64, Float64, Bool]:
-    """So many footprints of each pixel, (H, W), the error of that, and where its square may be infinite in float32.
+    """A multiple of each pixel's footprint, (H, W), its error, and where its square may be infinite in float32.
 
     A neighbour at an infinite distance does not count.
     """

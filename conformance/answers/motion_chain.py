@@ -18,7 +18,7 @@ from stss_ref.sample import Place
 MOST_ANSWERS = 32
 """A pixel with more right answers than this is not judged."""
 SMALL = 2.0**-62
-"""Pixels. Float32 may lose the squares of shorter motions, so that these may count as still; and so may what is no normal number."""
+"""Pixels. Float32 may lose the squares of shorter motions, so that these may count as still, as subnormal ones may."""
 FLOAT32_MAX = float(np.finfo(np.float32).max)
 
 
@@ -65,7 +65,7 @@ def _tied(earlier: NDArray[Any], at: Place, arithmetic: Arithmetic) -> NDArray[n
 
 
 def _least(longest: Any, arithmetic: Arithmetic) -> Any:
-    """The smallest squared length that may count as the longest, of motions that may have lost what is no normal number."""
+    """The smallest squared length that may count as the longest, of motions whose subnormal components may be 0."""
     return longest * (1 - BOUNDS["length"].roundings * 2.0**-24) - arithmetic.tiny**2
 
 

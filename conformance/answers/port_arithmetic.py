@@ -73,7 +73,7 @@ class Arithmetic:
         return np.ascontiguousarray(numbers.astype(np.float32))
 
     def normal(self, x: NDArray[Any]) -> NDArray[Any]:
-        """`rounded`, and 0 for what is no normal number: a port may have 0 there, and the direction of a key of such numbers is lost."""
+        """`rounded`, and 0 for subnormal numbers: a port may have 0 there, and the direction of a key of such numbers is lost."""
         numbers = self.rounded(x)
         return np.where(np.abs(numbers) < self.tiny, numbers.dtype.type(0), numbers)
 

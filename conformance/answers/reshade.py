@@ -23,7 +23,7 @@ def expect_reshade(
 ) -> tuple[dict[str, Expected], Bool]:
     """The float64 reference's colours, and where a comparison that decides is within rounding of its threshold, (H, W).
 
-    There any mean of what the two pictures show is right.
+    There any mean of the two pictures is right.
 
     Args:
         inputs: of the stage, float64.

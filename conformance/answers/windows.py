@@ -27,10 +27,10 @@ from stss_ref.weights import Weights
 
 Inputs = dict[str, NDArray[Any]]
 REACH = {"network": 112, "history": 48, "encoder": 40, "erm": 40, "decoder": 32}
-"""Input pixels, at most, from an output pixel to what it depends on, in multiples of 8: 43 of history, 37 of encoder, 40 of erm, 30 of
+"""Input pixels, at most, from an output pixel to the inputs of its value, in multiples of 8: 43 of history, 37 of encoder, 40 of erm, 30 of
 decoder, and the last three together."""
 IMAGE_REACH = 32
-"""The same for the image stages with motion of up to 8 pixels: a chain of three, or a splat, its look-up and what is read by it."""
+"""The same for the image stages with motion of up to 8 pixels: a chain of three, or a splat, its look-up and the reading there."""
 SIDE = 32
 """Rows and columns of a window; input pixels."""
 TILE = 512
@@ -39,7 +39,7 @@ TILE = 512
 
 @dataclass(frozen=True)
 class Window:
-    """Rows and columns of the inputs, and what is right there: of each output its place, and the right answers."""
+    """Rows and columns of the inputs, and each output's place and right answers there."""
 
     rows: slice
     columns: slice
@@ -111,7 +111,7 @@ def _image_window(stage: str, inputs: Inputs, arithmetic: Arithmetic, outputs: O
 
 
 def _around(window: tuple[slice, slice], whole: tuple[int, int], reach: int) -> tuple[slice, slice]:
-    """The window and what it depends on, in whole blocks of 8."""
+    """The window and the inputs that it depends on, in whole blocks of 8."""
     high, wide = (
         slice(max(0, s.start - reach) // 8 * 8, min(n, -(-(s.stop + reach) // 8) * 8)) for s, n in zip(window, whole, strict=True)
     )

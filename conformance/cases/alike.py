@@ -23,7 +23,7 @@ from conformance.protocol.stages import STAGES
 from stss_ref.weights import LAYERS, Weights
 
 Call = tuple[str, Inputs, Weights | None]
-"""Words on what is another, and a stage's inputs and weights."""
+"""Words on the difference, and a stage's inputs and weights."""
 Place = tuple[int, int]
 SIDE = 16
 STATIC: Place = (11, 11)
@@ -46,7 +46,7 @@ CHANGES: dict[str, Callable[[NDArray[Any]], Any]] = {
     "motion": lambda v: v * 0 + (3, -8), "stencil": lambda v: 2 - v, "normal": np.negative, "position": lambda v: v * np.nan,
     "nov": lambda v: 1 - v, "mask": lambda v: 1 - v, "valid": lambda v: 1 - v, "depth": lambda v: v * 0 + 1,
 }  # fmt: skip
-"""By the beginning of an array's name: what the pixel becomes; else 3/2 less what it was."""
+"""By the beginning of an array's name: the pixel's new value; else 3/2 less its old one."""
 FLAGS: dict[str, Callable[[NDArray[Any]], Any]] = {
     "paper": lambda v: 1 - v, "rectangle": lambda v: v + np.array([0, 0, 1, 0]), "steps": lambda v: v[[0, 1, 1]],
 }  # fmt: skip
@@ -73,7 +73,7 @@ def _calls(stage: str, rng: Generator) -> list[Call]:
 
 
 def _others(stage: str, name: str, array: NDArray[Any]) -> Iterator[tuple[str, NDArray[Any]]]:
-    """Arrays that share all but a little with this one, and words on what differs."""
+    """Arrays that share all but a little with this one, and words on the difference."""
     if name in FLAGS:
         yield "another", np.asarray(FLAGS[name](array), array.dtype)
         return

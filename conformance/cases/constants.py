@@ -30,7 +30,7 @@ class Constant:
     """One number of the specification.
 
     Attributes:
-        name: what the number is, as in the table of docs/stages.md.
+        name: the constant, as in the table of docs/conformance.md.
         value: as docs/stages.md has it.
         stage: the constant shows in this stage.
         make: makes a case of that stage from a seeded generator.
@@ -137,7 +137,7 @@ def _hole(width: int) -> Inputs:
 
 
 def _own_distance(rng: Generator) -> Inputs:
-    """Columns 8 cm apart, so that a footprint is 8 cm; what lies within two footprints is a hole's own sample."""
+    """Columns 8 cm apart, so that a footprint is 8 cm; a sample within two footprints is a hole's own."""
     apart = 8 * FOOTPRINTS * _pairs(1 - CLOSE, 1 + CLOSE)
     inputs = _hole(apart.size)
     here = np.zeros((1, apart.size, 3))

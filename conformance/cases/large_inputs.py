@@ -68,7 +68,7 @@ Moving = Callable[[Generator, Size], NDArray[np.float64]]
 
 
 def _holes(moving: Moving, size: Size, rng: Generator) -> Inputs:
-    """Objects on a ground, with distances and angles near the limits of what is trusted."""
+    """Objects on a ground, with distances and angles near the limits of trust."""
     normal, position = rng.normal(0, 1, (*size, 3)), rng.normal(0, 15, (*size, 3))
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
     stencil = (rng.random(size) < 0.3) * 2.0

@@ -96,7 +96,7 @@ def _answered(judge: Judge, case: Case, got: Outputs) -> _Answered:
 
 
 def _suspects(stage: str) -> tuple[Mistake, ...]:
-    """Those that large frames show first, since there all take long; then the stage's own, those of code it shares, and of precision."""
+    """Mistakes that large frames show, first, since there all take long; then the stage's own, those of shared code, those of precision."""
     parts = (stage, *CONTAINS.get(stage, ()))
     inside = [mistake for part in parts for mistake in of_stage(part)]
     mistakes = dict.fromkeys([*of_stage(stage), *of_stage(stage, shared=True), *inside])

@@ -23,7 +23,7 @@ from stss_ref.sample import Place, between, bilinear, follow, leads_inside, taps
 Float64 = NDArray[np.float64]
 Inputs = dict[str, NDArray[Any]]
 Term = tuple[str, str]
-"""A name, and what it is there."""
+"""A name, and its value there."""
 LIMITS = HoleLimits()
 
 
@@ -70,7 +70,7 @@ def _leads_to(at: Place, y: int, x: int) -> str:
 
 
 def _read(image: Float64, at: Place, y: int, x: int) -> list[Term]:
-    """The four pixels between which is read, the place clamped into the frame, and what comes of it."""
+    """The four pixels around the place, clamped into the frame, and the value between them."""
     four = taps(at)
     y0, x0, y1, x1 = (int(a[y, x]) for a in (four.y0, four.x0, four.y1, four.x1))
     return [

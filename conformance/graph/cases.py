@@ -18,7 +18,7 @@ from conformance.protocol.job_folder import JobError, read_array
 from stss_ground.errors import InputError
 
 KINDS = ("uniform", "normal", "ramp", "zeros", "border", "impulse", "checker", "large", "small", "halves")
-"""What inputs hold. ``border``: the first and last two of each axis alone; ``halves``: numbers that half precision has."""
+"""The content of inputs. ``border``: the first and last two of each axis alone; ``halves``: numbers that half precision has."""
 SIZES = (32, 64, 8, 16, 24, 40, 96)
 """Sizes of axes that the model leaves open."""
 BATCHES = (1, 2)
@@ -26,7 +26,7 @@ BATCHES = (1, 2)
 
 @dataclass(frozen=True)
 class GraphCase:
-    """One call: the sizes of open axes, what the inputs hold, and a seed."""
+    """One call: the sizes of open axes, the kind of inputs, and a seed."""
 
     sizes: Mapping[str, int]
     kind: str
@@ -84,7 +84,7 @@ def read_failure(model: Model, folder: Path) -> list[dict[str, AnyArray]]:
 
 
 def _fitting(model: Model, arrays: Mapping[str, Any], where: str) -> dict[str, AnyArray]:
-    """The arrays in the order of the model's inputs; InputError unless they are what it takes."""
+    """The arrays in the order of the model's inputs; InputError unless they fit it."""
     names = [each.name for each in model.inputs]
     if unknown := arrays.keys() - {*names}:
         raise InputError(f"{where}: expected {', '.join(names)}, got {min(unknown)}")

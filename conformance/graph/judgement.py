@@ -26,7 +26,7 @@ class Judgement:
 
     Attributes:
         tensor: its name.
-        node: what computes it.
+        node: the node that computes it.
         operands: the node's inputs: the port's own where it handed them over.
         got: the port's numbers.
         right: the right ones, with the most by which the port's may be off.
@@ -69,7 +69,7 @@ def judge(model: Model, inputs: Arrays, got: Arrays, rounding: Rounding, runs: i
     estimate, which grows with depth as rounding does, and no proof.
 
     Raises:
-        SizeError: a node cannot take what it is given.
+        SizeError: a node cannot take its inputs.
         ShapeError: a tensor has another shape than the model's.
     """
     values: dict[str, AnyArray] = {**model.constants, **{name: widen(array) for name, array in inputs.items()}}
@@ -89,7 +89,7 @@ def judge(model: Model, inputs: Arrays, got: Arrays, rounding: Rounding, runs: i
                 run |= {name: _change(each, random) for name, each in zip(node.outputs, changed, strict=False)}
         for name, right in zip(node.outputs, results, strict=False):
             values[name] = right.x
-            # Integers are sizes and places, constants are the model's: a wrong one shows in what is made of it.
+            # Integers are sizes and places, constants are the model's: a wrong one shows in the results.
             computes = right.x.dtype.kind == "f" and right.x.size and node.op != "Constant"
             if name in got and (computes or name in model.outputs):
                 allowed = right if not derived else Result(right.x, right.e + _spread([run[name] - right.x for run in moved]))
@@ -109,7 +109,7 @@ def _change(result: Result, random: np.random.Generator) -> AnyArray:
 
 
 def operands_of(node: Node, values: Mapping[str, AnyArray]) -> list[AnyArray | None] | None:
-    """A node's inputs; None where it reads what cannot be computed."""
+    """A node's inputs; None where one cannot be computed."""
     if any(name and name not in values for name in node.inputs):
         return None
     return [values[name] if name else None for name in node.inputs]
@@ -170,7 +170,7 @@ def widen(array: AnyArray) -> AnyArray:
     return array if array.dtype.kind in "biu" else array.astype(np.float64)
 
 
-# What a departure looks like
+# The likely cause of a departure
 
 SUMS = ("Conv", "ConvTranspose", "Gemm", "MatMul")
 EXPONENTIALS = ("Sigmoid", "Tanh", "Softmax", "Exp")
@@ -230,7 +230,7 @@ def _explanations(judged: Judgement, fits: Fits, rounding: Rounding) -> Iterator
 
 
 FUSED = (1, 2, 4, 8)
-"""So many nodes before a tensor an engine may have computed together with it."""
+"""Numbers of nodes before a tensor that an engine may have computed together with it."""
 
 
 def is_fused(model: Model, inputs: Arrays, got: Arrays, judged: Judgement, rounding: Rounding) -> bool:

@@ -17,7 +17,7 @@ from stss_ground.optional import require
 from stss_ground.regular_file import require_regular
 
 MOST_BYTES = 2 * 2**30
-"""Most bytes of a model and of its external data: what its format can hold."""
+"""Most bytes of a model and of its external data, by its format."""
 OPSETS = range(13, 23)
 DTYPES = {1: "float32", 10: "float16", 11: "float64", 6: "int32", 7: "int64", 2: "uint8", 9: "bool"}
 """ONNX's number of a type -> its name."""

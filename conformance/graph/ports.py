@@ -26,7 +26,7 @@ STAGE = "model"
 
 
 class GraphPort(Protocol):
-    """What computes the network. A Python object needs no import from here.
+    """A port of the network. A Python object needs no import from here.
 
     Attributes:
         name: in reports.

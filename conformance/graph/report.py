@@ -48,7 +48,7 @@ def print_outcome(outcome: Outcome, console: Console) -> None:
 
 
 def lines_of(outcome: Outcome) -> list[str]:
-    """What is to be said besides the numbers."""
+    """The lines besides the numbers."""
     unsuited = f"; {outcome.unsuited} drawn sizes do not suit the model" if outcome.unsuited else ""
     more = [f"{outcome.cases} cases, {len(outcome.tensors)} tensors judged{unsuited}"]
     derived = [name for name, tensor in outcome.tensors.items() if not tensor.is_own]
@@ -73,7 +73,7 @@ def write_files(
     """Write the files that are wanted.
 
     Args:
-        outcome: what was found.
+        outcome: of the run.
         model: the network.
         port: that was judged.
         options: of the run.

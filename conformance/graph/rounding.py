@@ -51,7 +51,7 @@ class Rounding:
         return self.arithmetic.unit
 
     def gamma(self, roundings: float) -> float:
-        """The most that so many roundings change, relatively."""
+        """The largest relative change by this number of roundings."""
         n = roundings * self.unit
         return n / (1 - n) if n < 0.5 else 2 * n
 

@@ -68,16 +68,16 @@ class Tensor:
 
 @dataclass
 class Outcome:
-    """What was found.
+    """The result of a run.
 
     Attributes:
         tensors: by name, in the model's order: each from the port's own tensors before it.
-        ends: the model's outputs, from its inputs: what a user of the port gets.
+        ends: the model's outputs, from its inputs, as a user of the port gets them.
         failure: the smallest case that is wrong; None: none is.
         unknown: a line for each node that was not judged.
         cases: that were judged.
         unsuited: drawn sizes that the model itself cannot take.
-        unjudged: outputs that depend on what was not judged.
+        unjudged: outputs that depend on unjudged nodes.
     """
 
     tensors: dict[str, Tensor] = field(default_factory=dict[str, Tensor])
@@ -268,7 +268,7 @@ def _require_numbers(model: Model, tensors: Mapping[str, Any]) -> None:
 
 
 def _lines(wrong: Judgement, rows: Sequence[Judgement], ends: Sequence[Judgement], rounding: Rounding) -> list[str]:
-    """The first tensor that departs, what it looks like, its worst number, and what becomes of it."""
+    """The first tensor that departs, its likely cause, its worst number, and its effect on the outputs."""
     before = sum(row.ratio <= 1 for row in rows[: rows.index(wrong)]) if wrong in rows else 0
     kind = "introduced here" if wrong.is_own else "made here or in nodes before it whose tensors were not handed over"
     lines = [
@@ -286,6 +286,6 @@ def _lines(wrong: Judgement, rows: Sequence[Judgement], ends: Sequence[Judgement
 
 
 def _lines_of(error: Exception) -> list[str]:
-    """What is said of a port's error."""
+    """Lines on a port's error."""
     headline, *more = [line[:300] for line in str(error).strip().splitlines()[:MOST_LINES]] or [""]
     return [f"{type(error).__name__}: {headline}", *more]

@@ -89,7 +89,7 @@ class Window:
         return total.reshape(n, outputs, *self.out)
 
     def spread(self, x: AnyArray, w: AnyArray, groups: int, size: Sequence[int]) -> AnyArray:
-        """The transpose: (N, M, *size) of ``x`` (N, C, *out) and ``w`` (C, M / groups, *kernel); what falls into the pads is cut off."""
+        """The transpose: (N, M, *size) of ``x`` (N, C, *out) and ``w`` (C, M / groups, *kernel); values in the pads are cut off."""
         n, inputs, each = len(x), len(w), w.shape[1]
         w = w.reshape(groups, inputs // groups, each, *self.kernel)
         full = [

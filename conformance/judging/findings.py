@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Records of what the judge found: a departure, the cases of a test, the result of a test."""
+"""The judge's records: a departure, the cases of a test, the result of a test."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class DepartureError(AssertionError):
 
 
 class WrongError(AssertionError):
-    """Numbers are wrong; whoever asked for them knows of which case, and makes a `DepartureError` of it."""
+    """Numbers are wrong. The caller knows the case, and makes a `DepartureError` of it."""
 
     def __init__(self, message: str, output: str, got: NDArray[Any] | None, expected: Expected | None):
         super().__init__(message)
@@ -91,7 +91,7 @@ class Record:
         first: the first failure of the test.
         largest: the largest height and width among the cases.
         about: words on the case that is checked now, for the message of its failure.
-        wrong: what was found wrong in the last cases that failed.
+        wrong: findings of the last cases that failed.
     """
 
     cases: int = 0
@@ -145,7 +145,7 @@ def tally(records: Sequence[Record]) -> Counter[str]:
 
 
 def describe(output: str, got: NDArray[Any], expected: Expected, worst: float) -> str:
-    """One line that says how wrong ``got`` is at its worst number, and what share of it departs.
+    """One line on the worst number of ``got``, and the share of it that departs.
 
     Args:
         output: ``stage.name``.

@@ -166,7 +166,7 @@ class Judge:
                 waiting = going
 
     def _advance(self, dialogue: Dialogue, answers: Sequence[Outputs] | None) -> DepartureError | None:
-        """Let a property go on to its next questions; what it finds wrong is of the case that it asked for last, if it names no other."""
+        """Let a property go on to its next questions; a wrong answer is of its last question's case, if it names no other."""
         last = self._case_of(dialogue.asked[-1]) if dialogue.asked else None
         try:
             dialogue.go_on(answers)
@@ -176,7 +176,7 @@ class Judge:
             assert last is not None
             return error.of(last)
         except Exception as error:
-            # The judge's own fault: what led to it is kept as any other failure is.
+            # The judge's own fault: its case is kept as any other failure is.
             if last is not None:
                 message = f"judging failed: {type(error).__name__}: {error}"
                 self.record.failure = Failure(Finding(message, last, "", None, None), dialogue.drawn)

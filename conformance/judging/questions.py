@@ -112,7 +112,7 @@ class Dialogue:
 
     Attributes:
         drawn: its case.
-        asked: what it waits for; empty: it has ended.
+        asked: the questions that it waits for; empty: it has ended.
     """
 
     def __init__(self, talk: Talk, case: Any):

@@ -84,7 +84,7 @@ class MadeCases:
     """Cases that are made, not drawn.
 
     Args:
-        makers: each makes one case from a seeded generator; or what the judge asks for.
+        makers: each makes one case from a seeded generator; or a function of the judge that gives them.
         about: words on a made case, for the message of its failure.
     """
 

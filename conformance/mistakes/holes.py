@@ -63,7 +63,7 @@ def _bits(bits: int) -> dict[str, Change]:
 
 
 def _half_stencil(stencil: Any) -> Any:
-    """What half holds; the largest number for those beyond it, since an infinite stencil is refused."""
+    """In half; the largest number for those beyond it, since an infinite stencil is refused."""
     return half(np.minimum(stencil, np.finfo(np.float16).max))
 
 

@@ -87,7 +87,7 @@ def write_job(job: Path, cases: Sequence[Case], first: int = 0, *, layers: bool 
 
 
 def write_inputs(folder: Path, case: Case) -> None:
-    """Write what a case is, and its arrays, into its folder. Names are those of any network, too: see `file_of`."""
+    """Write a case's stage and arrays into its folder. Names are those of any network, too: see `file_of`."""
     (folder / "in").mkdir(parents=True)
     (folder / "stage").write_text(f"{case.stage}\n", encoding="ascii")
     for name, array in case.inputs.items():
@@ -134,7 +134,7 @@ Stamps = dict[Path, tuple[int, int, int]]
 
 
 def stamps_of_inputs(job: Path, count: int) -> Stamps:
-    """Of each input file of a job's first ``count`` cases what shows that it was written to: inode, size and time."""
+    """Inode, size and time of each input file of a job's first ``count`` cases, which show that it was written to."""
     stamps: Stamps = {}
     for number in range(count):
         try:
@@ -147,7 +147,7 @@ def stamps_of_inputs(job: Path, count: int) -> Stamps:
 
 
 def require_unchanged(before: Stamps, after: Stamps) -> None:
-    """Raise JobError if an input file is no longer what it was."""
+    """Raise JobError if an input file has changed."""
     for path, stamp in before.items():
         if after.get(path) != stamp:
             raise JobError(f"{path}: {'changed' if path in after else 'removed'}; a program leaves its inputs as they are")
@@ -227,7 +227,7 @@ def read_weights(data: bytes, path: Path) -> Weights:
         path: for messages.
 
     Raises:
-        JobError: it is damaged, of another version, or a tensor is not what the network takes.
+        JobError: it is damaged, of another version, or a tensor does not fit the network.
     """
     try:
         tensors = dict(safetensors.deserialize(data))

@@ -27,7 +27,7 @@ MOST_SAID = 64 * 2**20
 ON_LINUX = sys.platform == "linux"
 REAPER = (sys.executable, "-I", "-S", Path(__file__).with_name("reaper.py"))
 GRACE = 10.0
-"""Seconds that the reaper has to end what is left."""
+"""Seconds that the reaper has to end the rest."""
 LOOK = 0.1
 """Seconds between two checks of the time and of the output's size; a program that ends is seen at once."""
 
@@ -56,7 +56,7 @@ def run_alone(
     folder: Path | None = None,
     env: Mapping[str, str] | None = None,
 ) -> Ending:
-    """Run a program to its end, or stop it; then stop what is left of what it started.
+    """Run a program to its end, or stop it; then stop all that it started.
 
     Args:
         command: program and arguments.
@@ -110,7 +110,7 @@ class Session:
                 os.close(writing)
 
     def close(self) -> bytes:
-        """Stop what still runs of it; what its reaper reports, at the first time."""
+        """Stop the rest of it; returns its reaper's report, at the first time."""
         stop(self.process)
         report = b""
         if self._reading is not None:
@@ -133,7 +133,7 @@ def reported(report: bytes, program: str | Path) -> int:
 
 
 def stop(process: subprocess.Popen[bytes]) -> None:
-    """End a program with all that can be reached of what it started."""
+    """End a program with all processes of it that can be reached."""
     if ON_LINUX:
         process.terminate()
         with suppress(subprocess.TimeoutExpired):
@@ -158,7 +158,7 @@ def describe(status: int) -> str:
 
 
 def tail(file: BinaryIO) -> str:
-    """The end of what was written to a file, without control characters."""
+    """The end of a file's text, without control characters."""
     file.seek(0, os.SEEK_END)
     file.seek(max(0, file.tell() - TAIL_BYTES))
     text = file.read(TAIL_BYTES).decode(errors="replace").strip()

@@ -85,7 +85,7 @@ class Abilities:
         winograd: whether its convolutions are Winograd's.
         weights_version: the latest version of weights that it knows.
         run_many: computes many cases at one start.
-        restart: forgets what it may remember.
+        restart: forgets its state.
         layers: hands over layers of a stage, given as ``run`` is: see `conformance.protocol.layers`.
     """
 

@@ -51,7 +51,7 @@ class Program:
         atexit.register(self.restart)
 
     def restart(self) -> None:
-        """Forget what the program may remember: the next job is computed by a new process."""
+        """Forget the program's state: the next job is computed by a new process."""
         if self._server is not None:
             self._server.close()
         self._server = None
@@ -62,7 +62,7 @@ class Program:
         Args:
             cases: of the job.
             write: writes them into its folder.
-            read: reads what was left in the folder of a case of this number.
+            read: reads the folder of the case of this number.
 
         Raises:
             PortError: the program is not there, fails, takes or says too much, changes its inputs, or ``read`` raises JobError.
@@ -132,9 +132,9 @@ class Program:
 
 
 def place_for(cases: Sequence[Case]) -> Path | None:
-    """Where to make a job: in memory where the system has a folder there with room, and nobody asked for another place.
+    """The folder for a job: in memory where the system has a folder there with room, and ``TMPDIR`` names no other.
 
-    Thousands of small files take longer on a disk than their numbers to compute. None: the usual place, as ``TMPDIR`` says.
+    Thousands of small files take longer on a disk than their numbers to compute. None: the usual place.
     """
     size = ROOM * sum(array.nbytes for case in cases for array in case.inputs.values()) + LEAST_ROOM
     usual = tempfile.gettempdir() == "/tmp"

@@ -22,7 +22,7 @@ class StoppedError(Exception):
 
 
 def main() -> None:
-    """Run the program to its end, then end what is left of it."""
+    """Run the program to its end, then end its other processes."""
     report, command = int(sys.argv[1]), sys.argv[2:]
     os.set_inheritable(report, False)
     signal.signal(signal.SIGTERM, _stop)

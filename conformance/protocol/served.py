@@ -33,7 +33,7 @@ class Server:
         command: program and arguments, without ``--serve``.
 
     Attributes:
-        stderr: the end of what it wrote to stderr during its last job.
+        stderr: the end of its stderr during its last job.
     """
 
     def __init__(self, command: Sequence[str]):
@@ -73,7 +73,7 @@ class Server:
             raise JobError(wrong)
 
     def close(self) -> None:
-        """Stop it, and what it started."""
+        """Stop it, with all that it started."""
         self._session.close()
         self._listener.join(GRACE)
         for file in (self._process.stdin, self._process.stdout, self._err):

@@ -282,7 +282,7 @@ def reference(stage: str, inputs: Arrays, weights: Weights | None = None) -> Out
         weights: the network's tensors, of any dtype; needed by the stages that take them.
 
     Raises:
-        ArrayError: inputs or weights are not what the stage takes.
+        ArrayError: inputs or weights do not fit the stage.
     """
     row = find(stage)
     check_inputs(stage, inputs)

@@ -30,7 +30,7 @@ def take_format(metadata: dict[str, str]) -> Weights:
     """Take these entries out of a file's metadata.
 
     Returns:
-        Weights without tensors, which have what the entries say.
+        Weights without tensors, with the choices of the entries.
 
     Raises:
         WeightsError: the entries are not those of a known version.

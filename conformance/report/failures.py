@@ -80,7 +80,7 @@ def keep_failure(folder: Path, name: str, failure: Failure, replay: str, write: 
 
 
 def _is_ours(place: Path) -> bool:
-    """Whether a folder holds what an earlier run wrote there, and nothing else."""
+    """Whether a folder holds the files of an earlier run, and nothing else."""
     try:
         return not place.is_symlink() and (place / SUMS).read_bytes() == sums_below(place)
     except OSError:

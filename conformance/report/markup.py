@@ -25,7 +25,7 @@ def table_of(caption: str, words: Sequence[str], numbers: Sequence[str], rows: s
 
 
 def row_of(r: TestResult) -> str:
-    """The row of a test: its id, what it asks, how it ended, its cases and the largest error / bound of each output."""
+    """The row of a test: its id, property and outcome, its cases and the largest error / bound of each output."""
     worst = "<br>".join(f"{html.escape(name.split('.')[-1])} {number_of(ratio)}" for name, ratio in r.record.worst.items())
     cells = f'<td><code>{html.escape(r.id)}</code><td class="words">{html.escape(r.property)}<td class="{r.outcome}">{r.outcome}'
     numbers = {"cases": r.record.cases or "", "error / bound": worst}

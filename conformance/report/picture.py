@@ -30,7 +30,7 @@ class Picture:
 
     Attributes:
         pixels: (H', W', 3) uint8.
-        words: what the panels show, from left to right.
+        words: the panels' content, from left to right.
     """
 
     pixels: NDArray[np.uint8]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Report what ``stss conform`` found, as a table, as JSON and as a page."""
+"""The report of ``stss conform``: a table, JSON and a page."""
 
 from __future__ import annotations
 
@@ -140,7 +140,7 @@ def judged_by_stage(results: Sequence[TestResult]) -> dict[str, list[TestResult]
 
 
 def judged_on(judge: Judge, results: Sequence[TestResult]) -> list[str]:
-    """The last lines of a report: the largest sizes, and what the port does not take."""
+    """The last lines of a report: the largest sizes, and the inputs that the port does not take."""
     sizes: dict[tuple[int, int], list[str]] = {}
     for stage, some in judged_by_stage(results).items():
         largest = max(r.record.largest[0] for r in some), max(r.record.largest[1] for r in some)

@@ -22,7 +22,7 @@ from stss_ref.weights import Weights
 
 @dataclass(frozen=True)
 class StoredCase:
-    """One case and what may be answered to it, by output."""
+    """One case and its right answers, by output."""
 
     case: Case
     expected: Mapping[str, Expected]
@@ -34,9 +34,9 @@ class StoredTest:
 
     Attributes:
         id: ``stage.test``.
-        property: what it asks, in words.
+        property: in words.
         cases: of it; those that an earlier test has are not there again. None: it holds answers of a port against each other.
-        undecided: how many cases are left out, for rounding decides what is right of a whole answer, or of one by another.
+        undecided: number of cases that are left out, since rounding decides a whole answer.
     """
 
     id: str
@@ -81,7 +81,7 @@ class _NoPort:
 
 
 class _Collector(Judge):
-    """Takes down what ports are asked, and what is right of it, where a judge would ask."""
+    """Takes down questions and right answers, where a judge would ask a port."""
 
     def __init__(self, arithmetic: Arithmetic, tier: Tier, seed: int):
         super().__init__(_NoPort(arithmetic), tier, seed, shrink=False)
@@ -102,7 +102,7 @@ class _Collector(Judge):
         return StoredTest(name, words, self._found, self._undecided)
 
     def agrees(self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights | None = None) -> Talk:
-        """Right is what the reference computes in float64, within the bound."""
+        """Right is the reference's result in float64, within the bound."""
         self._take(stage, inputs, weights, exactly=False)
         yield from ()
 

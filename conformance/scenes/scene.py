@@ -79,7 +79,7 @@ class Camera:
 
     Attributes:
         position: where it is at a frame, cm.
-        target: what it looks at, cm; never straight above or below ``position``.
+        target: the point that it looks at, cm; never straight above or below ``position``.
         spread: half the image's width at distance 1.
     """
 
@@ -139,7 +139,7 @@ class View:
 
 @dataclass(frozen=True)
 class Light:
-    """A sun, and a sky that lights whatever faces up more than what faces down.
+    """A sun, and a sky that lights surfaces that face up more than those that face down.
 
     Attributes:
         toward: direction to the sun; any length.
@@ -176,6 +176,6 @@ class Scene:
 
     @property
     def numbers(self) -> Array:
-        """(objects,) what the stencil holds: 0 for an object without a path, the others counted from 1."""
+        """(objects,) numbers of the stencil: 0 for an object without a path, the others counted from 1."""
         moving = np.array([item.path is not None for item in self.objects], bool)
         return np.where(moving, np.cumsum(moving), 0).astype(np.float64)

@@ -20,7 +20,7 @@ _UNBOUNDED = math.inf
 
 
 class Shape(Protocol):
-    """A surface; what every shape below offers."""
+    """A surface: the interface of all shapes below."""
 
     @property
     def reach(self) -> float:

@@ -23,7 +23,7 @@ _CLOUDS = noise(0.9)
 
 
 class Hits(NamedTuple):
-    """What N rays hit.
+    """The hits of N rays.
 
     Attributes:
         distance: (N,) cm; infinite where nothing was hit.
@@ -157,7 +157,7 @@ def sky_light(light: Light, up: Array) -> Array:
 
 
 def _shade(light: Light, surface: Surface, normal: Array, ray: Array, around: Array, *, lit: NDArray[np.bool_]) -> Array:
-    """Lambert and a normalised Blinn-Phong lobe from the sun, light of the sky, and ``around`` in what is metal."""
+    """Lambert and a normalised Blinn-Phong lobe from the sun, light of the sky, and ``around`` in metal."""
     color, roughness, metallic = surface
     sun = np.where(lit, dot(normal, light.direction), 0.0)
     half = light.direction - ray

@@ -72,7 +72,7 @@ def agrees_on_constants(stage: str) -> Test:
 
 
 def agrees_on_engines(stage: str) -> Test:
-    """Make a stage's test on what no strategy draws."""
+    """Make a stage's test on inputs that no strategy draws."""
     words = "Cases agree, too, with motion of -0, stencils up to 65536, lost motion and positions, motions that no step needs."
     return _agrees(stage, engine_inputs(stage), words)
 
@@ -98,7 +98,7 @@ def agrees_in_windows(stage: str) -> Test:
 
 
 def same_twice(stage: str, decorate: Callable[[Body], Test]) -> Test:
-    """Make a stage's test that nothing depends on what was computed before, on these cases."""
+    """Make a stage's test that no answer depends on earlier cases."""
 
     def body(judge: Judge, case: Any) -> Talk:
         """The same inputs give the same bits again, whatever was computed between."""

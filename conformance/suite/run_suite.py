@@ -25,7 +25,7 @@ SEQUENCE = "sequence"
 """The tests of whole sequences, which need stage ``frame``."""
 SUITE = (*STAGES, SEQUENCE)
 _COLLECTING = "unraisableexception", "threadexception"
-"""Plugins that collect garbage five times at the end of a run, a third of what one short run takes; no port's exception is theirs."""
+"""Plugins that collect garbage five times at the end of a run, a third of one short run's time; no port's exception is theirs."""
 JUDGED = "suite.something_is_judged"
 """Id of the result that is added where nothing was: a run that says nothing of a port does not pass it."""
 LARGE = "large_frames", "users_size"
@@ -139,11 +139,11 @@ class SuitePlugin:
         self.results: list[TestResult] = []
         self.broken = ""
         self.raised: Exception | None = None
-        """What `on_result` raised: through pytest it would be an internal error, with pytest's own traceback."""
+        """The error of `on_result`: through pytest it would be an internal error, with pytest's own traceback."""
 
     @pytest.fixture
     def judge(self, request: pytest.FixtureRequest) -> Judge:
-        """The judge, at the beginning of a test; skips what the port lacks."""
+        """The judge, at the beginning of a test; skips stages that the port lacks."""
         needs = stage_needed(_stage(request.node))
         if needs not in self._judge.stages:
             pytest.skip(f"the port has no stage {needs}")
@@ -159,7 +159,7 @@ class SuitePlugin:
         config.option.tbstyle = "native"  # pytest's own form parses every file on the way, for a text that is not shown
 
     def pytest_collectreport(self, report: pytest.CollectReport) -> None:
-        """Take down what cannot be collected."""
+        """Take down the errors of collecting."""
         if report.failed:
             self.broken = str(report.longrepr)
 
@@ -171,7 +171,7 @@ class SuitePlugin:
             items.sort(key=lambda item: any(word in item.name for word in LARGE))
 
     def pytest_sessionfinish(self) -> None:
-        """Add what says something of the run as a whole."""
+        """Add results of the run as a whole."""
         lacks = {
             "the port has no stage": {each for each in self._required if stage_needed(each) not in self._judge.stages},
             "not among the stages that are judged:": self._required - self._stages,

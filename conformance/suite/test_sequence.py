@@ -61,7 +61,7 @@ def test_the_order_does_not_matter(judge: Judge, calls: list[tuple[str, Inputs, 
 
 
 def _next(draw: st.DrawFn, frame: Inputs, steps: tuple[int, int, int]) -> dict[str, Any]:
-    """The frame after this one: what was newest becomes older."""
+    """The frame after this one: the newest becomes older."""
     newer = draw(frame_inputs(st.just(frame["nov"].shape), steps))
     moved = {name: np.concatenate([newer[name][:1], frame[name][:-1]]) for name in ("colors", "stencils", "normals", "positions")}
     return {**newer, **moved}

@@ -29,10 +29,10 @@ class Picture:
 
 @dataclass
 class Calls:
-    """What is to be run.
+    """The calls to be run.
 
     Attributes:
-        buffers: what each begins with, or only how many numbers it holds: 0 at first.
+        buffers: the first content of each, or only its number of numbers: 0 at first.
         calls: file and entry point, work-groups, the uniform's integers, the buffer of each binding.
     """
 
@@ -84,7 +84,7 @@ class Calls:
 
 
 def code(file: str) -> str:
-    """The text of a shader, behind what it follows motions and compares surfaces with; WGSL has no #include."""
+    """The text of a shader, behind the functions for motions and surfaces that it needs; WGSL has no #include."""
     files = ["follow"] * (file in FOLLOWING) + ["surface"] * (file in SURFACES) + [file]
     return "\n".join((FOLDER / f"{name}.wgsl").read_text(encoding="utf-8") for name in files)
 

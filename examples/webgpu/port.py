@@ -24,7 +24,7 @@ COPIED, CORNERS, CENTRES, EIGHTH = range(4)
 
 
 class Port:
-    """What the judge asks: see docs/ports.md."""
+    """The port's members: see docs/ports.md."""
 
     name, dtype = "webgpu", "float32"
 

@@ -12,7 +12,7 @@ from stss.sequence.solve_camera import solve_camera
 SURE = 1e-3
 """Largest residual of a solved camera that says anything of a given one."""
 APART = 1e-2
-"""Distance between the two, as a share of the distance to what is seen, from which NoV is wrong."""
+"""Distance between the two, as a share of the distance to the surfaces, from which NoV is wrong."""
 
 
 def camera_lines(sequence: Sequence, number: int) -> list[Line]:

@@ -31,7 +31,7 @@ CHOICES = {
     "x and y swapped, then y negated": (True, 1, -1),
     "x and y swapped, then both negated": (True, -1, -1),
 }
-"""Choice -> (swap, sign of x, sign of y), applied to what the profile makes of the stored motion."""
+"""Choice -> (swap, sign of x, sign of y), applied to the stored motion in the profile's conventions."""
 
 
 @dataclass(frozen=True)

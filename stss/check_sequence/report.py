@@ -42,7 +42,7 @@ LOOKS = 5
 LISTED = 8
 """Most frame numbers that a line lists."""
 BYTES_PER_PIXEL = 20
-"""Of an input pixel: four pixels of three halves, and what zip leaves of them."""
+"""Of an input pixel: four pixels of three halves, compressed by zip."""
 SECONDS_PER_PIXEL = 5e-7
 """Of one core: 110 ms for 960 x 544 on two cores (docs/benchmarks.md), and files."""
 
@@ -139,7 +139,7 @@ def check(
 
 
 def summary(numbers: list[int], size: tuple[int, int]) -> str:
-    """Frames, sizes, and about what space and time the run takes."""
+    """Frames, sizes, and an estimate of the run's space and time."""
     height, width = size
     pixels = len(numbers) * height * width
     space, seconds = pixels * BYTES_PER_PIXEL / 2**20, pixels * SECONDS_PER_PIXEL / available_threads()

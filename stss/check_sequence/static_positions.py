@@ -20,13 +20,13 @@ from stss_ref.holes import holes
 from stss_ref.sample import follow, leads_inside
 
 NEAR = 1e-2
-"""Share of the distance to what is seen, below which the camera is at the origin."""
+"""Share of the distance to the surfaces, below which the camera is at the origin."""
 OFF = 0.25
 """Pixels: the largest median error of the background's motion that is not told."""
 MIN_PIXELS = 200
 """Fewest pixels of background that tell anything."""
 AGREES = 0.1
-"""Pixels: the largest median error of motion that agrees with the positions, or three times what those are off by themselves."""
+"""Pixels: the largest median error of motion that agrees with the positions, or three times the positions' own error."""
 BETTER = 0.25
 """Another meaning of the motion is named where its error is below this share of the motion's own."""
 MOVES = 0.25
@@ -55,13 +55,13 @@ class StaticVerdict:
         pixels: how many were compared.
         residual: median distance of a pixel to where its own position is projected; pixels.
         error: median error of the stored motion; pixels.
-        motion: what the stored motion seems to be, where that fits clearly better; empty otherwise.
+        motion: the likely convention of the stored motion, where that fits clearly better; empty otherwise.
         relative: positions begin at the camera, in every frame, and motion says that it moves.
         fit: true motion over stored motion by least squares, ``(scale, offset)`` for x and y.
         depth: median deviation from the distance along the view; -1 where depth falls with distance.
         normals: share of the surfaces along which normals point, as stored and after the one turn that fits best.
-        holes: share of the static surfaces that are holes, over one frame; what leads off the frame does not count.
-        movers: share of the static surfaces whose motion is not that of what stands still, though that of the others is.
+        holes: share of the static surfaces that are holes, over one frame; motion that leads off the frame does not count.
+        movers: share of the static surfaces whose motion is not that of static geometry, though that of the others is.
     """
 
     pixels: int
@@ -171,10 +171,10 @@ class StaticGeometry:
     """Findings from static geometry.
 
     Attributes:
-        positions: what its positions say; None where no pair shows enough of what stands still.
+        positions: the verdict by positions; None where no pair shows enough static geometry.
         jitter: of the camera.
         repeated: frames with the positions of the frame before, though something moves.
-        background: what it says of the background; None where none is seen, or the scene is flat.
+        background: the verdict on it; None where there is none, or the scene is flat.
     """
 
     positions: StaticVerdict | None
@@ -240,7 +240,7 @@ def judge_static_geometry(pairs: Iterable[tuple[Buffers, Buffers]]) -> StaticGeo
 
 
 def _at_origin(projection: Projection, frame: Buffers) -> bool:
-    """Whether positions put the camera at (0, 0, 0), to a share of what is seen."""
+    """Whether positions put the camera at (0, 0, 0), to a share of the distance to the surfaces."""
     camera = projection.camera
     if camera is None:
         return False
@@ -361,7 +361,7 @@ def _line(true: Array, motion: Array) -> tuple[float, float]:
 
 
 def _depth(frame: Buffers, projection: Projection) -> float:
-    """Median deviation of depth from what is proportional to the distance along the view; -1 where it falls with distance."""
+    """Median deviation of depth from a multiple of the distance along the view; -1 where it falls with distance."""
     seen = static_surfaces(frame)
     away = projection.project(frame.position[seen].astype(np.float64))[1]
     depth = frame.depth[seen].astype(np.float64)

@@ -42,7 +42,7 @@ class Work:
         rendered: the display frames that count as rendered.
         out: the run's folder, for messages and suffixes; the worker writes nothing.
         options: as for a run in one process.
-        engine: what computes.
+        engine: computes the frames.
     """
 
     version: str
@@ -105,7 +105,7 @@ _opened: dict[str, tuple[Backend, str]] = {}
 
 
 def introduce(work: Work) -> Introduction:
-    """Open the backend; returns what it is, or why it cannot be opened."""
+    """Open the backend; returns its name, or why it cannot be opened."""
     try:
         for path in work.sequence.files(work.sequence.numbers[0]):
             if not path.is_file():

@@ -31,7 +31,7 @@ CHUNKS_AHEAD = 2
 FIRST_TIMEOUT = 3600.0
 """Seconds that the first answer may take: it builds kernels, and nothing is known of the workers' speed."""
 MIN_TIMEOUT, TIMEOUT_FACTOR = 60.0, 10.0
-"""If for so many seconds, and for so many times the duration of the slowest chunk, no chunk comes in, the workers that have one hang."""
+"""Workers hang if for these seconds, and for this multiple of the slowest chunk's duration, no chunk comes in."""
 MAX_FAILURES = 3
 """How many times in a row workers may die or hang before a chunk comes in."""
 
@@ -50,7 +50,7 @@ def run_on_cluster(
     Args:
         sequence, out, options, on_frame, reads: as there; ``on_frame`` is called in the order in which chunks arrive.
         address: where to compute, see ``stss.cluster.workers.connect``.
-        engine: what computes there.
+        engine: computes there.
 
     Raises:
         InputError: as there; nothing answers at the address, workers differ, or workers die or hang again and again.
@@ -75,7 +75,7 @@ def cut_into_chunks(numbers: Sequence[int], workers: int, size: tuple[int, int])
 
 
 class _Run:
-    """Hands out chunks, writes what comes back, and hands a chunk out again where its worker dies or hangs."""
+    """Hands out chunks, writes their frames, and hands a chunk out again where its worker dies or hangs."""
 
     def __init__(self, workers: Workers, work: Work, planned: RunPlan, on_frame: Callable[[FrameReport], None]):
         self._workers, self._work, self._planned, self._on_frame = workers, work, planned, on_frame

@@ -75,7 +75,7 @@ def _end_with(parent: Any) -> None:
 
 
 class DaskWorkers:
-    """The workers of a scheduler. They may come and go; the scheduler gives what a dead one had to another."""
+    """The workers of a scheduler. They may come and go; the scheduler gives a dead one's tasks to another."""
 
     def __init__(self, client: Any):
         self._client, self._hung = client, set[str]()
@@ -131,7 +131,7 @@ def connect(address: str) -> Generator[Workers, None, None]:
     if "://" not in address:
         raise InputError(f"--cluster: expected {LOCAL}N or a scheduler such as tcp://host:8786, got {address}")
     dask = require("distributed", "cluster")
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what a lost worker means is said by us, in one line
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # a lost worker is one line of ours
     try:
         client = dask.Client(address, timeout=TIMEOUT)
     except (OSError, dask.TimeoutError, ValueError) as error:

@@ -116,7 +116,7 @@ def verdict(
         if is_temporary():
             tell("no writable cache folder: kernels are built for this process only; XDG_CACHE_HOME names another folder")
         new = run_selftest(name, command, limit, trial=trial)
-        if again:  # what a later trial ended with is tested anew when it is asked for
+        if again:  # a later trial that failed is run anew when it is asked for
             for later in TRIALS[TRIALS.index(trial) + 1 :]:
                 if (old := _read_verdict(name, handle, later)) and not old.passed:
                     _path(name, handle, trial=later).unlink(missing_ok=True)
@@ -158,7 +158,7 @@ def _read_verdict(name: str, handle: cl.Device, trial: str) -> Verdict | None:
 def _with_checksum(path: Path, text: bytes) -> bytes:
     """A verdict behind a line with its checksum, which counts for this file's name alone: for this device, driver and version.
 
-    No secret is in it: who may write to the folder may run code as its owner anyway, in a cached kernel.
+    No secret is in it: a program that can write to the folder can run code as its owner anyway, in a cached kernel.
     """
     return hashlib.sha256(path.name.encode() + b"\n" + text).hexdigest().encode() + b"\n" + text
 

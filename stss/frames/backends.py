@@ -32,7 +32,7 @@ class Backend(Protocol):
     """Computes stage ``frame``.
 
     Attributes:
-        name: goes into the metadata of every output file, and into what ``--resume`` compares.
+        name: goes into the metadata of every output file, and into the key that ``--resume`` compares.
         method: likewise: ``network``, or one that it is compared with.
         accumulates: True: an output depends on all outputs before it, and ``compute`` must be called for each in turn.
     """

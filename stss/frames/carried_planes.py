@@ -13,7 +13,7 @@ from stss_ref.resample import upsample_centres
 from stss_ref.warp import warp
 
 HIGHLIGHTS = "\0highlights"
-"""Name of the plane with what the colour has above 1. No channel has it: names in files end at a NUL."""
+"""Name of the plane with the part of the colour above 1. No channel has it: names in files end at a NUL."""
 WHITE = (0.85, 0.95)
 """Display-referred: a pixel below has no highlight, one above the whole of it. Where a bright sky stands behind leaves, the enlarged
 highlight covers them too, and the network's image says which pixels are sky (decision 7)."""

@@ -22,7 +22,7 @@ class _Plane(NamedTuple):
         channels: its last axis; 0: it has two axes.
         least, most: its range; None: any finite number.
         otherwise: what is allowed beside finite numbers: "", "inf" or "any".
-        hint: what to do where it is wrong.
+        hint: advice for where it is wrong.
     """
 
     channels: int
@@ -58,7 +58,7 @@ ROUNDING = 2.0**-8
 
 
 def check_buffers(buffers: Buffers) -> None:
-    """Raise InputError for the first plane that is not what `Buffers` says it is: kind of number, shape, range, finite values.
+    """Raise InputError for the first plane that is not as `Buffers` says: kind of number, shape, range, finite values.
 
     The message names the plane, the frame, what was expected, what was found and where.
     """
@@ -77,7 +77,7 @@ def check_buffers(buffers: Buffers) -> None:
 
 
 def require_unmasked(where: str, array: object) -> None:
-    """Raise InputError where a masked array hides a value: what lies under the mask would be read."""
+    """Raise InputError where a masked array hides a value: it would be read."""
     if np.ma.is_masked(array):
         raise InputError(
             f"{where}: expected an array without a mask, found one that hides values; fill it first: array.filled(0)"

@@ -20,7 +20,7 @@ class ComputeOptions:
         device: part of an OpenCL device's name; None: ``$STSS_DEVICE``, or the fastest that passed its self-test.
         precision: one of ``stss_cl.options.PRECISIONS``; the reference takes ``float32`` only.
         memory_limit: bytes for the buffers of the OpenCL backend; larger frames go in strips, with the same bits.
-        skip: one of ``stss_cl.options.SKIPS``: what the OpenCL backend leaves out; the reference computes everything.
+        skip: one of ``stss_cl.options.SKIPS``, for the OpenCL backend; the reference computes everything.
 
     Raises:
         InputError: ``precision`` or ``skip`` is none of these, or the limit is no number of bytes.

@@ -55,8 +55,8 @@ class Supersampler:
             device: part of an OpenCL device's name; None: ``$STSS_DEVICE``, or the fastest.
             precision: of ``stss_cl.options.PRECISIONS``.
             memory_limit: bytes for the network's buffers; larger frames go in strips, with the same bits.
-            skip: ``exact``: what did not change is not computed again, with the same bits; ``off``.
-            transfer: ``srgb``: scene-linear; what lies above 1 is carried past the network. ``none``: display-referred.
+            skip: ``exact``: unchanged parts are not computed again, with the same bits; ``off``.
+            transfer: ``srgb``: scene-linear; the part above 1 is carried past the network. ``none``: display-referred.
             depth: ``scale`` or ``clip`` (spec 0).
             copy: False: motion, NoV, stencil and position are not copied; the caller must not write to them for six frames.
             check: False: planes are not looked at before they are used.
@@ -91,7 +91,7 @@ class Supersampler:
             The output; None for a frame that was not rendered with no rendered frame just before it: nothing can be made.
 
         Raises:
-            InputError: a plane is not what `Buffers` says, or another thread is within ``push``; nothing was taken.
+            InputError: a plane is not as `Buffers` says, or another thread is within ``push``; nothing was taken.
         """
         if not self._busy.acquire(blocking=False):
             raise InputError(
@@ -99,7 +99,7 @@ class Supersampler:
                 "backend from open_backend"
             )
         try:
-            # The program around it may have NumPy raise what the arithmetic here does on purpose.
+            # The program around it may have NumPy raise errors for arithmetic that is done here on purpose.
             with np.errstate(all="ignore"):
                 return self._push(buffers)
         finally:
@@ -157,6 +157,6 @@ def supersample(
         An iterator with an `Output` for every frame, except for one with neither colour nor a rendered frame just before it.
 
     Raises:
-        InputError: an option or a plane is not what it must be.
+        InputError: an option or a plane is wrong.
     """
     return Supersampler(backend=backend, transfer=transfer_name, depth=depth)(frames)

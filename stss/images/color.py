@@ -93,7 +93,7 @@ class Transfer:
         return _by_blocks("image", self._decode, image)
 
     def display(self, color: Array) -> Float32:
-        """Convert a frame in the renderer's domain to what a screen shows, for PNG and metrics.
+        """Convert a frame in the renderer's domain to a screen's, for PNG and metrics.
 
         ``none``: clip to [0, 1]. ``srgb``: clip to [0, 1], then the sRGB curve: HDR is not tone mapped.
 

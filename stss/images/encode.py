@@ -85,7 +85,7 @@ def encode_png(path: Path, pixels: np.ndarray[Any, np.dtype[np.uint8]], metadata
     Args:
         path: where it will lie, for messages.
         pixels: (H, W, C).
-        metadata: name -> value; what describes the colours of a scene is left out.
+        metadata: name -> value; entries on a scene's colours are left out.
 
     Raises:
         InputError: memory or the limit on the size of files does not suffice.

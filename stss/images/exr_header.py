@@ -15,7 +15,7 @@ _MOST_NAME = 256
 def header_bytes(file: BinaryIO) -> int:
     """How many bytes the attributes of an EXR file claim, up to where it is clear that they are more than `MOST_HEADER`.
 
-    A file that is no EXR, or ends within its header, gives what came before: the library says what is wrong with it.
+    A file that is no EXR, or ends within its header, gives the entries before that: the library reports the fault.
 
     Args:
         file: just behind its magic number.

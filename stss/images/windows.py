@@ -38,7 +38,7 @@ class PixelWindow(NamedTuple):
         return PixelWindow(2 * self.x, 2 * self.y, 2 * self.width, 2 * self.height)
 
     def within(self, other: PixelWindow) -> tuple[slice, slice]:
-        """Rows and columns of what both share, in an array of ``other``; empty slices where they share nothing."""
+        """Rows and columns of the part that both share, in an array of ``other``; empty slices where they share nothing."""
         rows = _shared(self.y, self.height, other.y, other.height)
         return rows, _shared(self.x, self.width, other.x, other.width)
 

@@ -77,7 +77,7 @@ class Mean:
 
 @dataclass(frozen=True)
 class Comparison:
-    """What ``compare`` found.
+    """The result of ``compare``.
 
     Attributes:
         rows: the frames that both folders have, in order.
@@ -142,7 +142,7 @@ def compare(
 ) -> Comparison:
     """Compare the frames of a folder with those of the same numbers in another.
 
-    EXR holds the renderer's domain, PNG what a screen shows. Both are converted to what a screen shows, by the transfer
+    EXR holds the renderer's domain, PNG a screen's. Both are converted to a screen's, by the transfer
     that the output's file names (``srgb`` where it names none), and then to 8 bits.
 
     Source: spec 9.
@@ -153,7 +153,7 @@ def compare(
         frames: first and last to compare, both included; None: all.
         sequence: the input of the output, by whose motion flicker is measured; None: it is not.
         perceptual: metrics to take too.
-        non_finite: what to do with values that are not finite: "refuse", or "mask": 0.
+        non_finite: values that are not finite: "refuse" them, or "mask": 0.
         holes: a run's folder, over whose warping holes outputs are scored; None: over their own.
         track: yields the numbers that it is given, and may show how far the comparison is.
 

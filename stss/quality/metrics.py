@@ -57,7 +57,7 @@ class Scores:
 
 
 def to_8bit(image: Image) -> Bytes:
-    """Clip to [0, 1], multiply by 255 and cut the fraction off: like the authors, who do not round.
+    """Clip to [0, 1], multiply by 255 and cut the fraction off: the authors do not round either.
 
     Computed in float32, in which the 256 levels of an 8-bit file come back unchanged.
 

@@ -37,7 +37,7 @@ class Pair:
         static_holes: the share of its static surfaces that are holes, where the file says it.
         made_with: method, weights, backend and transfer, as far as the file names them.
         primaries: of both, where they differ; their colours are compared as they are.
-        non_finite: what to do with values that are not finite: "refuse", or "mask": 0.
+        non_finite: values that are not finite: "refuse" them, or "mask": 0.
     """
 
     output: Path

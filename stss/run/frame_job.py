@@ -41,10 +41,10 @@ class FrameReport:
     Attributes:
         number: the frame.
         kind: SF, EF; None where it was not found out.
-        outcome: what became of it.
+        outcome: see ``Outcome``.
         reason: why it was left out.
         fault: it was left out because something is wrong.
-        cost: what computing it took.
+        cost: of its computation.
         peak: the largest value of its image.
         static_holes: the share of its static surfaces that are holes; None for an SF, or where nothing static is seen.
     """
@@ -94,7 +94,7 @@ class _Computed:
 
 @dataclass(frozen=True)
 class FrameJob:
-    """The steps of one frame, in three threads, and what stays the same from frame to frame of one run.
+    """The steps of one frame, in three threads, and the constants of one run.
 
     Where a frame is already kept or left out, the later steps pass its report on.
     """

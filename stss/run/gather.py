@@ -27,7 +27,7 @@ _FRAME = re.compile(r"frame\.(-?\d+)\.\w+")
 
 
 class Gathered(NamedTuple):
-    """What a folder holds after its parts were gathered.
+    """The content of a folder after its parts were gathered.
 
     Attributes:
         parts: how many there were.
@@ -52,10 +52,10 @@ def gather(
     """Move the files of all parts into one folder, as one run would have left it. After an interrupt it can be repeated.
 
     No file of a part is removed before all files of all parts are in the folder and on the disk. From then on `MARK` lies beside the
-    parts, until the last one is gone: by it a repeated call knows what the parts held that it no longer finds.
+    parts, until the last one is gone: it tells a repeated call the files of parts that are gone.
 
     Args:
-        parts: holds a folder for each part. A part is a folder with a list, and no link; what else is there stays.
+        parts: holds a folder for each part. A part is a folder with a list, and no link; other files stay.
         out: the folder to write to; the rules for a run's folder hold.
         sequence: the folder or pattern of the frames that the parts were made from: nothing is written to it.
         frames: first and last frame that the folder should have then; None: the first and the last that it has.
@@ -108,7 +108,7 @@ def _parts_in(parts: Path) -> list[Path]:
     """The folders of the parts.
 
     Raises:
-        InputError: a link leads to something like a part: what is behind it may be somebody's finished run, and would be removed.
+        InputError: a link leads to something like a part: the folder behind it may be a finished run, and would be removed.
     """
     folders: list[Path] = []
     for path in sorted(parts.iterdir()) if parts.is_dir() else ():
@@ -138,7 +138,7 @@ def _checked(
     """Look at every file of all parts.
 
     Returns:
-        sums: name -> SHA-256: the lists of all parts as one, and what ``before`` has besides.
+        sums: name -> SHA-256: the lists of all parts and ``before`` as one.
         lists: the lists as they come into the mark.
     """
     sums, lists = dict[str, str](), dict[str, str]()
@@ -173,7 +173,7 @@ def _require_same(target: OutputFolder, sums: Mapping[str, str]) -> None:
 
 
 def _copy(folder: Path, target: OutputFolder, sums: Mapping[str, str]) -> None:
-    """Write what the folder does not hold yet of a part."""
+    """Write the files of a part that the folder does not have yet."""
     with _opened(folder) as part:
         for name, digest in part.sums().items():
             if target.sums().get(name) == digest and target.holds(name):

@@ -69,9 +69,9 @@ def run(
     A file is complete or not there: see ``stss_ground.output``.
 
     Args:
-        sequence: what to read.
+        sequence: the input.
         out: the folder to write to; made if need be.
-        backend: what computes.
+        backend: computes the frames.
         weights: their label, for the metadata.
         options: the user's choices.
         on_frame: called after every frame.

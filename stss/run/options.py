@@ -23,7 +23,7 @@ class RunOptions:
         also: names of further layers or channels of the files that are warped and enlarged like the colour.
         format: ``exr``, ``png``.
         keep_going: leave out a frame that cannot be read, rather than stop.
-        resume: keep the files of an earlier run that are what this run would write.
+        resume: keep the files of an earlier run that equal those of this run.
         overwrite: replace the files of an earlier run one by one; remove the rest of them once all are written.
     """
 

@@ -30,17 +30,17 @@ def overlap(
 
     Each step takes the items in order. An error is raised when its item's turn comes, after the items before it are done, just as
     if items were worked on one at a time; after an item that cannot be written no other is. No thread is left when this ends, raises
-    or is closed; what was computed by then is written.
+    or is closed; results by then are written.
 
     Args:
-        items: what to work on; each is taken from the list when it is read. More may be added as long as this has not ended.
+        items: each is taken from the list when it is read. More may be added as long as this has not ended.
         read: runs in a thread of its own.
         compute: runs in the caller's thread, while the caller waits for the next result.
         write: runs in a third thread.
         meanwhile: runs once in the caller's thread, while the first item is read.
 
     Yields:
-        What ``write`` returns, in order.
+        The results of ``write``, in order.
     """
     reader, writer = ThreadPoolExecutor(1, "stss-read"), ThreadPoolExecutor(1, "stss-write")
     reading: deque[Future[Read]] = deque()

@@ -42,7 +42,7 @@ BETWEEN = 0.15, 0.85
 
 @dataclass(frozen=True)
 class Sampling:
-    """How the pixels were sampled, and what says so.
+    """How the pixels were sampled, and the reason for that verdict.
 
     Attributes:
         antialiased: colour, or colour and G-buffer, are means over the pixel.

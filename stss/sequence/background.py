@@ -29,7 +29,7 @@ def static_surfaces(frame: Buffers) -> Mask:
 
 
 def projection_of(frame: Buffers) -> Projection | None:
-    """The camera's projection, by the positions of what stands still; None where they do not determine it in all directions."""
+    """The camera's projection, by the positions of static geometry; None where they do not determine it in all directions."""
     projection = solve_projection(frame.position, static_surfaces(frame))
     return None if projection is None or projection.residual > LOOSE or len(projection.axes) < 3 else projection
 

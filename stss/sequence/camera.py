@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Where the camera was: from a table, or from what a renderer wrote into its files."""
+"""The camera's places: from a table, or from the metadata of a renderer's files."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ def choose_weights(source: str, sequence: Sequence, tell: Callable[[str], None],
 
     Raises:
         InputError: the file can't be read or is of another format.
-        WeightsError: a tensor is not what the network takes.
+        WeightsError: a tensor does not fit the network.
     """
     if source != AUTO:
         return load(source)

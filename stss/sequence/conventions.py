@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Convert what a renderer stored to the conventions of spec section 0."""
+"""Convert a renderer's planes to the conventions of spec section 0."""
 
 from __future__ import annotations
 

@@ -70,7 +70,7 @@ def find_frames(path: Path, endings: Collection[str]) -> Frames:
     Args:
         path: a folder that holds one sequence; or a pattern like ``folder/name.####.exr``, with any number of # and
             with or without an ending.
-        endings: what names end with before the frame number, one for each kind of file; "" where a kind has no ending.
+        endings: of names, before the frame number, one for each kind of file; "" where a kind has no ending.
 
     Raises:
         InputError: there are no such files, those of several sequences, or two for one frame; a number has too many

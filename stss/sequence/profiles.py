@@ -65,7 +65,7 @@ class DepthRule:
     """How depth is stored.
 
     Attributes:
-        kind: "planar": along the view axis; "ray": distance to the camera; "device": what a depth buffer holds.
+        kind: "planar": along the view axis; "ray": distance to the camera; "device": a depth buffer's values.
         background: a value of this or more means that nothing was hit; so does one that is 0, negative or not finite.
         near: "device" only: distance of the near plane.
         far: "device" only: distance of the far plane; infinite allowed.
@@ -104,7 +104,7 @@ class Profile:
         path: its TOML file.
         channels: buffer -> alternatives in order of preference, each the full names of the buffer's channels.
             ``{layer}`` stands for the text before the last two dots; for nothing, with its dot, where no name has two.
-        files: buffer -> what the name of its file ends with before the frame number; the other buffers share a file.
+        files: buffer -> the ending of its file's name before the frame number; the other buffers share a file.
         motion: how motion is stored.
         depth: how depth is stored.
         normal: how the normal is stored.
@@ -113,7 +113,7 @@ class Profile:
         depth_normalisation: spec 0: "clip" or "scale".
         camera: alternatives of three attribute names that hold the camera's position, in scene units.
         constants: buffer -> number that stands in where there is no channel.
-        hints: buffer -> what to do when it is missing.
+        hints: buffer -> advice for when it is missing.
         view: of a stereo file, the one to read; "": the first.
     """
 
@@ -172,7 +172,7 @@ def load_profile(name_or_path: str | Path, **changes: Any) -> Profile:
 
 
 def _merged(top: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Keys and tables, of which a change keeps what it does not name."""
+    """Keys and tables; a change keeps the keys that it does not name."""
     merged = dict(top)
     for key, value in changes.items():
         old = merged.get(key)

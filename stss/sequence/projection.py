@@ -24,7 +24,7 @@ class Projection:
     """Where places are seen: ``w (x, y, 1) = matrix (axes (p - origin), 1)``.
 
     Attributes:
-        matrix: (3, k + 1), in units of the frame's half width; ``w`` is positive for what is seen.
+        matrix: (3, k + 1), in units of the frame's half width; ``w`` is positive in front of the camera.
         axes: (k, 3) the directions in which the scene extends, over its extent; 3 of them, or 2 where it is flat.
         origin: (3,) the middle of the scene.
         middle, half: of the frame; pixels.

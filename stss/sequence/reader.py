@@ -45,13 +45,13 @@ class Sequence:
     Attributes:
         path: folder or pattern, as given.
         profile: the renderer's names and conventions.
-        canvas: the pixels of every frame: the display window and what data windows have beyond it.
+        canvas: the pixels of every frame: the display window and the parts of data windows beyond it.
         display: the display window of every frame.
         frames: display frame -> its files, buffers and camera.
         constants: buffer -> number that stands in where there is no channel.
-        non_finite, background: what happens to values that are not finite, and where the motion of the background is from: see
+        non_finite, background: the policy for values that are not finite, and the source of the background's motion: see
             `open_sequence`.
-        settings: everything besides the files that decides what `load` returns: text and numbers.
+        settings: everything besides the files on which `load` depends: text and numbers.
         tables: files that were read besides those of the frames: the profile's, the camera's.
     """
 
@@ -73,7 +73,7 @@ class Sequence:
         return self.canvas.size
 
     def displayed(self, buffers: Buffers) -> Buffers:
-        """A frame without what lies beyond the display window."""
+        """A frame without its pixels beyond the display window."""
         if self.canvas == self.display:
             return buffers
         part = self.display.within(self.canvas)
@@ -97,7 +97,7 @@ class Sequence:
         return buffer in frame.sources or buffer in self.constants or computed
 
     def files(self, number: int) -> tuple[Path, ...]:
-        """The files of a frame: what `load` reads, and no others."""
+        """The files of a frame, which `load` reads, and no others."""
         return self._frame(number).files
 
     @property
@@ -215,7 +215,7 @@ class Sequence:
         return frame.camera is None and "nov" not in frame.sources
 
     def _outside(self, frame: RawFrame) -> Mask | None:
-        """(H, W) True where depth, or what else says where a surface is, has no pixels; None: they are everywhere."""
+        """(H, W) True where depth, normal or position has no pixels; None: they are everywhere."""
         windows = {frame.data[buffer] for buffer in SURFACE if buffer in frame.data}
         if windows <= {self.canvas}:
             return None
@@ -298,7 +298,7 @@ def open_sequence(
         camera: CSV ``frame,x,y,z``, in the profile's unit of length; takes precedence over the camera in the files.
         metallic: constant for files that have no metallic, in [0, 1].
         roughness: the same for roughness.
-        non_finite: what to do with non-finite colours, normals, base colours, roughness, metallic, NoV and stencils.
+        non_finite: the policy for non-finite colours, normals, base colours, roughness, metallic, NoV and stencils.
             "refuse": InputError; "mask": 0, and no later frame trusts such a colour.
         background: where the background's motion is from. "files": as they have it. "camera": from the turn of the camera, which the
             positions of what stands still show (`stss.sequence.background`).

@@ -23,7 +23,7 @@ from stss_ref.arrays import Array
 from stss_ref.weights import TENSORS, Weights, WeightsError, check, require_names, require_shape
 
 MAX_BYTES, MAX_ENTRIES, MAX_PICKLE_BYTES = 64 * 2**20, 1000, 256 * 2**10
-"""Bounds of the file and of what its entries claim, of their number, and of ``data.pkl``."""
+"""Bounds of the file, of its entries' claims and number, and of ``data.pkl``."""
 
 _DICT, _TENSOR, _FLOATS = "collections.OrderedDict", "torch._utils._rebuild_tensor_v2", "torch.FloatStorage"
 _BEFORE_1_6 = b"\x80\x02\x8a\x0al\xfc\x9cF\xf9 j\xa8P\x19"
@@ -48,7 +48,7 @@ def read_checkpoint(path: str | Path) -> Weights:
 
     Raises:
         WeightsError: the file can't be read, is damaged, is something else, asks for anything but tensors, or a tensor
-            is not what the network takes. The message names the file and the tensor.
+            does not fit the network. The message names the file and the tensor.
     """
     try:
         return _weights(_entries(read_regular(Path(path), MAX_BYTES)))
@@ -75,7 +75,7 @@ def _entries(data: bytes) -> dict[str, bytes]:
     try:
         archive = zipfile.ZipFile(io.BytesIO(data))
         entries = archive.infolist()
-        # Only what is compressed, or lies at the same place as another entry, is more than the file.
+        # Only entries that are compressed, or share a place, are larger than the file together.
         if any(entry.compress_type != zipfile.ZIP_STORED or entry.file_size != entry.compress_size for entry in entries):
             raise WeightsError("an entry of the zip archive is compressed, which PyTorch never does")
         if sum(entry.file_size for entry in entries) > MAX_BYTES:

@@ -38,7 +38,7 @@ class LoadedWeights:
     """Weights and where they come from.
 
     Attributes:
-        weights: the 92 tensors, checked, and what else they were trained with: second colour, hole test, hole fill.
+        weights: the 92 tensors, checked, and the choices of their training: second colour, hole test, hole fill.
         source: file or name, as it was given.
         identity: `identity` of the weights.
         metadata: the file's metadata, without the format's version and these three.
@@ -75,7 +75,7 @@ def load(source: str | Path) -> LoadedWeights:
 
     Raises:
         InputError: the file can't be read or is of another format.
-        WeightsError: a tensor is not what the network takes.
+        WeightsError: a tensor does not fit the network.
     """
     path = path_of("weights", source)
     if str(source) == BILINEAR:

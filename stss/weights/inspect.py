@@ -88,7 +88,7 @@ def inspect(weights: Weights, height: int, width: int) -> Inspection:
 def component_costs(height: int, width: int) -> tuple[ComponentRow, ...]:
     """The paper's cost table (Tab. "Cost analysis for each component"), for frames of (height, width).
 
-    A row is what its component adds: the history and the ERM also widen the input of ``up1``, by 32 channels each.
+    A row is its component's addition: the history and the ERM also widen the input of ``up1``, by 32 channels each.
     Besides the convolutions, 11 operations are counted for each number that the decoder's three upsamplings produce. The
     paper's own numbers are for 968 x 544: its authors pad a width of 960 by 8 more.
     """

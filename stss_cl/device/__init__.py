@@ -12,7 +12,7 @@ __all__ = ["Device", "open_device"]
 
 
 def __getattr__(name: str) -> Any:
-    """Import what opens the OpenCL library when it is asked for: ``stss_cl.device.caches`` alone must not."""
+    """Import modules that open the OpenCL library when they are asked for: ``stss_cl.device.caches`` alone must not."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from stss_cl.device import discovery

@@ -74,7 +74,7 @@ def storage(dtype: np.dtype[Any]) -> str:
 
 
 def to_bfloat16(array: NDArray[Any]) -> NDArray[np.uint16]:
-    """Round as kernels do: to nearest even, what is less than the smallest normal number to 0."""
+    """Round as kernels do: to nearest even, subnormal numbers to 0."""
     bits = np.asarray(array, np.float32).view(np.uint32)
     rounded = np.where(bits & 0x7F800000, bits + 0x7FFF + (bits >> 16 & 1), bits & 0x80000000)
     return (rounded >> 16).astype(np.uint16)
@@ -113,7 +113,7 @@ class Inputs:
         input: (H8, W8, 24) color 6, color * mask 6, gbuffer 9, zeros 3.
         earlier: 3 of (H8, W8, 4) oldest, middle, newest: warped colour and its mask.
         eighth: (H8/8, W8/8, 16) gbuffer 9, mask, zeros 6.
-        base: (H8, W8, 4) float32, no border: color 0..2 and 0, what the decoder upsamples and adds.
+        base: (H8, W8, 4) float32, no border: color 0..2 and 0, which the decoder upsamples and adds.
         changes: the change maps of ``input``, ``earlier`` and ``eighth``; None: there are none.
     """
 
@@ -163,7 +163,7 @@ def constant(device: Device, array: NDArray[Any]) -> cl.Buffer:
 def on_device(device: Device, name: str, array: cla.Array, dtype: type[np.floating[Any]] = np.float32) -> cl.Buffer:
     """The buffer of an array that is already on the device, or the part of a buffer that the array covers.
 
-    What the array's own events wait for is waited for on the device.
+    The device waits for the array's own events.
 
     Raises:
         ArrayError: it is not of this ``dtype``, not C-contiguous, of another context, or larger than its buffer.
@@ -249,7 +249,7 @@ class Outgoing:
         self._arriving = None
 
     def finish(self) -> Any:
-        """The complete array. Waits for what is enqueued, unless the array is on the device."""
+        """The complete array. Waits for the queue, unless the array is on the device."""
         if self._on_device:
             return self.array
         if not self._device.is_cpu:

@@ -82,7 +82,7 @@ def store(path: Path, data: bytes, *, executable: bool = False) -> None:
 
 
 def read(path: Path, most: int) -> bytes | None:
-    """Read what ``store`` wrote; None if it is not there, has more than ``most`` bytes, or is a link, a pipe or a folder."""
+    """Read a file of ``store``; None if it is not there, has more than ``most`` bytes, or is a link, a pipe or a folder."""
     flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
     try:
         with os.fdopen(os.open(path, flags), "rb") as file:
@@ -139,7 +139,7 @@ def _secure(folder: Path) -> bool:
 
 
 def _empty(folder: Path) -> None:
-    """Remove what others may have put there."""
+    """Remove files that others may have put there."""
     for path in folder.iterdir():
         if path.is_dir() and not path.is_symlink():
             shutil.rmtree(path)
@@ -164,7 +164,7 @@ def _user_home() -> Path:
 
 
 def _serves(folder: Path) -> bool:
-    """Whether the folder can be written to, what is in it can be executed, and it has room."""
+    """Whether the folder can be written to, its files can be executed, and it has room."""
     return (
         len(str(folder)) <= LONGEST
         and os.access(folder, os.R_OK | os.W_OK | os.X_OK)

@@ -13,7 +13,7 @@ _GENERATE = "_generate_enqueue_and_set_args_module"
 
 def generate_once() -> None:
     """Change two private settings of PyOpenCL, which has no public ones: ``$PYOPENCL_NO_CACHE`` counts only before its import."""
-    # It keeps the code as pickles, which run what they hold, in a folder that other programs share and that the umask alone protects.
+    # It keeps the code as pickles, which may run code, in a folder that other programs share and that the umask alone protects.
     # It looks at this flag at every call.
     cl._PYOPENCL_NO_CACHE = True  # pyright: ignore[reportPrivateUsage]
 

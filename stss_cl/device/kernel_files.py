@@ -24,11 +24,11 @@ except ImportError:  # Windows
     fcntl = None
 
 SUMS = "stss.sha256"
-"""Name of the list in the cache: the SHA-256 of each file that a process left which came to its end, its state then, and its name."""
+"""The cache's list: SHA-256, state and name of each file, written by a process at its end."""
 USERS = "stss.lock"
-"""Name of the file that every process which uses the cache holds a lock on until it ends, however it ends."""
+"""Every process that uses the cache holds a lock on this file until it ends, however it ends."""
 YOUNG = 300.0
-"""A file written to within so many seconds may not be complete, if another process uses the cache; linking takes a second, or a minute
+"""Seconds. A file written to within them may not be complete, if another process uses the cache; linking takes a second, or a minute
 on a busy machine."""
 MOST_BYTES = 64 << 20
 BOOT = Path("/proc/sys/kernel/random/boot_id")
@@ -45,11 +45,11 @@ class FileRecord(NamedTuple):
 
 @cache
 def mend(folder: Path) -> None:
-    """Remove the files of PoCL's cache that are not as they were left, so that PoCL builds them anew, and say so; once in a process.
+    """Remove damaged files of PoCL's cache, so that PoCL builds them anew, and say so; once in a process.
 
-    A file that is in the list must have its checksum. Another one, of a process that was killed, must be whole by what it says itself.
-    What has been looked at since the system started, and has not been written to since, is not read again: a cache of hundreds of MiB
-    would take seconds. What this process builds comes into the list at its end. What another process may be writing is left alone: PoCL
+    A file of the list must have its checksum. Another one, of a process that was killed, must be as long as its own header says.
+    A file that was read since the system started, and not written to since, is not read again: a cache of hundreds of MiB
+    would take seconds. This process adds its own files to the list at its end. It leaves files alone that another may be writing: PoCL
     ends a process whose file goes while it links.
     """
     used, now = _is_used(folder), time.time()
@@ -161,7 +161,7 @@ def _files(folder: Path, below: str = "") -> Iterator[tuple[str, os.DirEntry[str
 
 
 def _state(entry: os.DirEntry[str], boot: str) -> str:
-    """What differs once a file has been written to, or the system started again, at which what was written last may be lost; or "-"."""
+    """A text that changes once a file is written to, or the system starts again, when the last writes may be lost; or "-"."""
     try:
         status = entry.stat(follow_symlinks=False)
     except OSError:

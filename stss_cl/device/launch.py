@@ -88,7 +88,7 @@ class Kernel:
         return cl.enqueue_nd_range_kernel(queue, self._kernel, size, group)
 
     def load(self, queue: cl.CommandQueue, size: tuple[int, ...], group: tuple[int, ...] | None, **nothing: Any) -> cl.Event:
-        """Launch it now with ``nothing`` to do, since runtimes load or compile a kernel at its first launch; what is missing stays so."""
+        """Launch it now with ``nothing`` to do, since runtimes load or compile a kernel at its first launch; missing arguments stay so."""
         missing = self._open
         unset = {name: None if name in self._places and self._places[name][1].endswith("*") else 0 for name in missing}
         self.set(**{**unset, **nothing})

@@ -45,7 +45,7 @@ def provide() -> None:
 
 
 def is_needed() -> bool:
-    """Whether PoCL could not link: there is no ``ld``, or not what it asks ``ld`` for; ``$STSS_LINKER`` decides otherwise."""
+    """Whether PoCL could not link: ``ld``, or a file that it needs, is not there; ``$STSS_LINKER`` decides otherwise."""
     named = os.environ.get("STSS_LINKER")
     if named not in (None, *CHOICES):
         raise DeviceError(f"STSS_LINKER: expected one of {', '.join(CHOICES)}, got {named!r}")

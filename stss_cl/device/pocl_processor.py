@@ -24,7 +24,7 @@ ICE_LAKE = AVX512 | {
     *("gfni", "vaes", "vpclmulqdq", "sha_ni"),
 }
 KNOWN = (("icelake-client", ICE_LAKE), ("skylake-avx512", AVX512), ("haswell", AVX2), ("x86-64", frozenset[str]()))
-"""Names, the best first, and what a processor must have of what a compiler uses unasked, as Linux says it."""
+"""Names, the best first, and the features that such a processor must have, as Linux names them: a compiler uses them unasked."""
 RECORD = 2048
 """Bytes of a device's record in which the name is looked for; in PoCL 3.0 it is at 640."""
 
@@ -62,7 +62,7 @@ class _Piece(ctypes.Structure):
 
 
 def _read(address: int, size: int) -> bytes:
-    """Memory of this process through the system, which refuses what is not there: then it is empty."""
+    """Memory of this process through the system, which refuses a wrong address: then it is empty."""
     buffer = ctypes.create_string_buffer(size)
     pieces = (ctypes.byref(_Piece(where, size)) for where in (ctypes.addressof(buffer), address))
     got = ctypes.CDLL(None).process_vm_readv(os.getpid(), next(pieces), 1, next(pieces), 1, 0)

@@ -31,7 +31,7 @@ MOST_BINARY = 64 << 20
 """Most bytes of a compiled program that is stored; ours have some 100 KiB."""
 
 DIGEST = hashlib.sha256().digest_size
-"""A stored binary begins with its own digest, of so many bytes."""
+"""Bytes of the digest with which a stored binary begins."""
 
 MAKERS_OPTIONS = {"intel": "-D static= -D inline="}
 """Options for a maker's GPUs; "" for other devices. Where a function is static, Intel's compiler of 2022 unrolls no loop as it is told,
@@ -46,7 +46,7 @@ _building = Lock()
 
 
 class Program:
-    """A built program, and what its kernels take.
+    """A built program, and its kernels' arguments.
 
     Attributes:
         built: OpenCL's.
@@ -93,7 +93,7 @@ def build(device: Device, file: str, options: Mapping[str, object] | None = None
 
 
 def marking(device: Device, marks: bool) -> Mapping[str, object]:
-    """The option that says whether a kernel marks what changes; processors, also as GPUs, give it a map or none (change_map.clh)."""
+    """The option that says whether a kernel marks changes; processors, also as GPUs, give it a map or none (change_map.clh)."""
     return {} if device.kind == "CPU" else {"MARK": int(marks)}
 
 
@@ -136,7 +136,7 @@ def _build(device: Device, file: str, options: str) -> Program:
 
 @contextmanager
 def _our_options_alone() -> Generator[None]:
-    """Hide ``$PYOPENCL_BUILD_OPTIONS``, which PyOpenCL adds to every program: no self-test has seen what it makes of ours."""
+    """Hide ``$PYOPENCL_BUILD_OPTIONS``, which PyOpenCL adds to every program: no self-test has seen our programs with it."""
     theirs = os.environ.pop("PYOPENCL_BUILD_OPTIONS", None)
     try:
         yield

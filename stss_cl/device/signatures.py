@@ -25,7 +25,7 @@ def arguments(text: str, kernel: str, defined: Set[str]) -> list[tuple[str, str]
     pointers to global memory; ``#ifdef NAME`` with ``#else`` chooses between lines without further conditions.
 
     Args:
-        text: the source, with what it includes.
+        text: the source, with its includes.
         kernel: its name.
         defined: the names of the ``-D`` options.
 

@@ -84,12 +84,12 @@ _made: WeakKeyDictionary[cl.Context, Staging] = WeakKeyDictionary()
 
 
 def after(queue: cl.CommandQueue, other: cl.CommandQueue) -> None:
-    """Have what is enqueued in ``queue`` from now on wait for what is in ``other`` by now."""
+    """Have all later commands of ``queue`` wait for those now in ``other``."""
     cl.enqueue_barrier(queue, wait_for=[so_far(other)])
 
 
 def so_far(queue: cl.CommandQueue) -> cl.Event:
-    """The end of what is in a queue by now, for another queue to wait for."""
+    """The end of a queue's commands so far, for another queue to wait for."""
     event = cl.enqueue_marker(queue)
     queue.flush()  # a queue may wait for events of another for ever if that one's commands are not sent to the device
     return event

@@ -72,7 +72,7 @@ class Tuning:
     local: Local | None = None
 
     def winograd_for(self, outputs: int) -> Winograd:
-        """The sizes for ``outputs``, 64 at most: of the next larger number, with what divides the vectors held at once."""
+        """The sizes for ``outputs``, 64 at most: of the next larger number, with a divisor of the vectors held at once."""
         assert self.winograd is not None
         row = self.winograd[min(n for n in OUTPUTS if n >= outputs)]
         return replace(row, vectors_held=_most_held(row.vectors_held, ceil_div(outputs, row.vector)))
@@ -218,7 +218,7 @@ def _kernels() -> tuple[str, ...]:
 
 
 def _tuning(table: Table, like: Tuning | None = None) -> Tuning:
-    """A row, every key of it checked: a whole one, or what differs from the row ``like``."""
+    """A row, every key of it checked: a whole one, or its differences from the row ``like``."""
 
     def sizes(key: str) -> Table | None:
         return None if key not in table.rest and (like is not None or key == "winograd") else table.table(key)

@@ -47,11 +47,11 @@ class _Launches:
 
 @dataclass(frozen=True)
 class PrepareOptions:
-    """What is computed of a frame.
+    """The choices for a frame.
 
     Attributes:
         gather: how the motion chain reads between pixels.
-        second, test, hole_fill: the network's second colour, the hole test and what fills holes, see ``stss_ref.frame.prepare``.
+        second, test, hole_fill: the network's second colour, the hole test and the fill of holes, see ``stss_ref.frame.prepare``.
         frames: how many of the three colour frames are read, from the newest on: 1 or 3. With 1 ``inputs.earlier`` is not written.
         history: whether ``inputs.earlier`` is read; if not, it is not written, and no older frame is searched for holes.
     """
@@ -70,7 +70,7 @@ class Prepare:
     Args:
         device: to run on.
         height, width: of the frames.
-        options: what it computes.
+        options: its choices; None: the defaults.
         inputs: buffers to write to; None: buffers of its own. If they have change maps, only ``dirty`` tiles are computed.
         tops: the rows of the frame at which the strips of ``inputs`` begin.
 
@@ -189,7 +189,7 @@ class Prepare:
         normals: Source,
         positions: Source,
     ) -> None:
-        """Enqueue the frame's image-space stages up to the search for what fills holes; arguments as of ``stss_ref.frame.FrameInputs``.
+        """Enqueue the frame's image-space stages up to the search for the colours of holes; arguments as of ``stss_ref.frame.FrameInputs``.
 
         ``strip`` then finishes each of the strips. On a CPU arrays are read in place: they must not change until the queue has
         finished this frame. All but motions and positions must be finite: ``not_finite`` checks those that are read afterwards.
@@ -215,12 +215,12 @@ class Prepare:
         self.start(sources, checks=True)
 
     def start(self, sources: Sources, *, looking: bool = True, checks: bool = False) -> None:
-        """``begin`` for what is on the device already, and known to be finite.
+        """``begin`` for planes that are on the device already, and known to be finite.
 
         Args:
             sources: the planes to read; kept until the next frame.
             looking: use change maps; False: everything is computed, and nothing is marked.
-            checks: have ``not_finite`` tell what is not finite after all; normals are then three floats apart.
+            checks: have ``not_finite`` look for values that are not finite after all; normals are then three floats apart.
         """
         self._read, s, changes = sources, sources, self.inputs.changes
         self._launches = launches = self._marking if looking and changes is not None else self._whole

@@ -119,6 +119,6 @@ def layer(
 
 
 def _kernel(device: Device, source: KernelSource, arguments: Arguments) -> Kernel:
-    """The kernel with its arguments set; it marks what changes if it is given a change map."""
+    """The kernel with its arguments set; it marks changes if it is given a change map."""
     marks = marking(device, arguments["changes"] is not None) if "changes" in arguments else {}
     return Kernel(build(device, source.file, {**source.options, **marks}, source.flags), source.kernel, arguments)

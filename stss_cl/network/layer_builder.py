@@ -39,7 +39,7 @@ class LayerBuilder:
         launches: in order; at first those of ``once``.
         marked: the buffers with change maps but the inputs.
         maps: their change maps; None: there are none.
-        results: what each launch leaves as the layer's result: buffer, first channel, channels; None: no more than others read.
+        results: the place of each launch's result: buffer, first channel, channels; None: it leaves none of a whole layer.
     """
 
     def __init__(

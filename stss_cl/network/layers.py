@@ -41,7 +41,7 @@ class Layers:
 
     Args:
         device: to run on.
-        weights: the 92 tensors; what is tiny is dropped (``stss_cl.liveness.drop_tiny``).
+        weights: the 92 tensors; tiny numbers are dropped (``stss_cl.liveness.drop_tiny``).
         height: of the frame; padded to a multiple of 8 inside.
         width: likewise.
         precision: see ``stss_cl.options.PRECISIONS``.
@@ -51,7 +51,7 @@ class Layers:
         every: every unit runs for each frame, whatever these weights read.
 
     Attributes:
-        launches: in order, without what these weights need not run (``stss_cl.liveness.find_live``); the last one writes the image.
+        launches: in order, without layers that these weights do not need (``stss_cl.liveness.find_live``); the last one writes the image.
         once: those whose result no frame changes; they have run.
         inputs: the inputs of the first launches.
         features: the stages' outputs, by the names of ``stss_ref``.

@@ -135,7 +135,7 @@ class NetworkStages:
         return self._layers_for(stage, inputs).run_stage(stage, inputs)
 
     def layers_of(self, stage: str, inputs: Mapping[str, Array]) -> dict[str, Array]:
-        """What the layers of a stage give, by their names; none where the frame goes in strips."""
+        """The results of a stage's layers, by name; none where the frame goes in strips."""
         return self._layers_for(stage, inputs).layers_of(stage, inputs)
 
     def _layers_for(self, stage: str, inputs: Mapping[str, Array]) -> Layers:

@@ -83,7 +83,7 @@ def pack_outc(weights: Tensors) -> tuple[NDArray[np.float32], NDArray[np.float32
 
 
 def amx_outc(weight: NDArray[np.float32]) -> NDArray[np.uint16]:
-    """`pack_outc`'s weights as conv_amx.cl reads them: (2, 16, 16, 2), rounded to bfloat16, and what that rounds off."""
+    """`pack_outc`'s weights as conv_amx.cl reads them: (2, 16, 16, 2), rounded to bfloat16, and the remainders of that rounding."""
     rows = np.pad(weight, ((0, 32 - len(weight)), (0, 0)))
     upper = to_bfloat16(rows)
     both = np.stack([upper, to_bfloat16(rows - from_bfloat16(upper))])

@@ -74,7 +74,7 @@ class Plan:
         steps: of each frame.
         once: before the first frame.
         features: the slots of ``FEATURES``, by the names of ``stss_ref``.
-        last: what the image is made of: the result of ``LAST``, or any finite activations where nothing reads it.
+        last: the features of the image: the result of ``LAST``, or any finite activations where nothing reads it.
         fused: whether ``last`` is the input of ``LAST`` instead, which makes the image itself.
     """
 

@@ -19,7 +19,7 @@ from stss_cl.device.program import Program, build
 SIDE = 4
 """Side of most tiles; pixels."""
 PIXELS = 256
-"""On a CPU tiles that step over so many pixels share a work-item: most have nothing to do, and each work-item costs something."""
+"""Pixels. On a CPU tiles that step over them share a work-item: most have nothing to do, and each work-item costs something."""
 
 
 @dataclass(frozen=True)

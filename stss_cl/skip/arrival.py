@@ -23,7 +23,7 @@ SPAN = 256
 ITEMS, ACROSS = 128, 16
 """Work-items of a group of arrive.cl, and tiles of a row that it looks at."""
 CHANGED, RECOLORED = 1, 2
-"""Bits of what is found of a tile (kernels/arrive.clh)."""
+"""Bits of a tile's result (kernels/arrive.clh)."""
 FINITE = ("color", "gbuffer", "nov", "stencil")
 COMPARED = ("gbuffer", "nov", "stencil", "position")
 
@@ -34,7 +34,7 @@ where nothing was compared."""
 
 
 class Arrival:
-    """Looks at frames of one size, in one launch; where they are compared, one read brings what it found; else a GPU is not waited for."""
+    """Looks at frames of one size, in one launch; where they are compared, one read brings the result; else a GPU is not waited for."""
 
     def __init__(self, device: Device, height: int, width: int):
         self._device, self._size, self._shape = device, (height, width), (ceil_div(height, 4), ceil_div(width, 4))
@@ -44,7 +44,7 @@ class Arrival:
             self._queue, self._groups = device.queue, ((ceil_div(columns, SPAN), rows), (1, 1))
             program = build(device, "changed_tiles.cl", {"SPAN": SPAN, "PREFETCH": device.takes_prefetch})
         else:
-            # In the queue of what arrives: the host waits for what is found, and not for the frame before.
+            # In the queue of arriving planes: the host waits for the result, and not for the frame before.
             self._queue, self._groups = staging(device).uploads, ((ITEMS * ceil_div(columns, ACROSS), rows), (ITEMS, 1))
             after(self._queue, device.queue)  # which clears them
             program = build(device, "arrive.cl")

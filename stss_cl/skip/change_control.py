@@ -17,7 +17,7 @@ computed whole to make up for the changes that were not looked for."""
 
 
 class ChangeControl:
-    """Decides what is computed of a stream's frames, SF and EF.
+    """Decides which parts of a stream's frames are computed, SF and EF.
 
     Attributes:
         frames_unlooked: frames left to be computed without looking for changes, this one included.
@@ -36,7 +36,7 @@ class ChangeControl:
         return "whole" if changed > MOST_CHANGED else "changed"
 
     def learn(self, network: Part) -> None:
-        """Learn from what was run, if changes were looked for: in vain if it was all."""
+        """Learn from the run, if changes were looked for: in vain if all was computed."""
         if self.frames_unlooked:
             return
         self._frames_all_changed = self._frames_all_changed + 1 if network == "whole" else 0

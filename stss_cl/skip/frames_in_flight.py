@@ -21,7 +21,7 @@ class FrameInFlight:
 
     Attributes:
         image, valid: see ``stss_cl.skip.stream.Stream.__call__``; not complete before ``finish``.
-        coming: what they wait for; to be finished before it is dropped, or dropping it waits, and all threads of Python with it.
+        coming: the transfers that they wait for; finish them before they are dropped, or the drop waits, with all threads of Python.
         cost: the cost of the frame.
     """
 
@@ -42,7 +42,7 @@ def one_ahead(
 ) -> Iterator[tuple[Any, Any]]:
     """Begin each call before the one before it is finished and handed out.
 
-    What is wrong with a call, or with getting it, is raised when its turn comes. No frame is left unfinished when this ends, raises
+    An error of a call, or of getting it, is raised when its turn comes. No frame is left unfinished when this ends, raises
     or is closed.
     """
     rest, waiting, newest = iter(calls), None, None

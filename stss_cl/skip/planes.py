@@ -29,14 +29,14 @@ GROUP = 64
 
 
 class Planes:
-    """Brings planes to the device. Those that are half are copied so, and widened there: behind this, all are float32.
+    """Brings planes to the device. Planes of half are widened there: behind this, all are float32.
 
-    On a processor arrays of float32 are read in place. Otherwise there is a queue for what arrives, so that a frame's planes may arrive
+    On a processor arrays of float32 are read in place. Otherwise arriving planes have their own queue, so that a frame's planes may arrive
     while the frame before it is computed. They go to memory that only planes have, which may have been that of a plane dropped before.
-    Hence the rule: what arrives waits for the launches that there were when planes were last dropped (``dropped``).
+    Hence the rule: arriving planes wait for the launches before the last drop of planes (``dropped``).
 
     Attributes:
-        queue: has what arrives, and what looks at it.
+        queue: of arriving planes, and of the kernels that look at them.
     """
 
     def __init__(self, device: Device):
@@ -48,7 +48,7 @@ class Planes:
         self._some_arrive = False
 
     def dropped(self) -> None:
-        """Planes were dropped, whose memory may serve again; the launches until now may read them."""
+        """Note that planes were dropped: their memory may serve again, once the launches until now have read them."""
         if not self._device.is_cpu:
             self._readers = so_far(self._device.queue)
 
@@ -68,7 +68,7 @@ class Planes:
         return {n: self._widened(buffers[n], math.prod(shape)) if _is_half(x) else buffers[n] for n, (x, shape) in arrays.items()}
 
     def arrived(self) -> None:
-        """Have launches from now on wait for what was brought."""
+        """Have launches from now on wait for the planes that were brought."""
         if self._some_arrive and not self._device.is_cpu:
             after(self._device.queue, self.queue)
         self._some_arrive = False

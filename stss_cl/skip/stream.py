@@ -117,7 +117,7 @@ class Stream:
         """Compute many frames: ``(image, valid)`` of each ``(window, steps)`` of ``calls`` in turn, with the bits of a call for each.
 
         On a GPU each frame is begun before the one before it is handed out: while a frame is computed, the planes of the next one
-        arrive, and the image before it leaves. Thus ``calls`` are taken one ahead, and what is wrong with one is raised in its turn,
+        arrive, and the image before it leaves. Thus ``calls`` are taken one ahead, and the error of one is raised in its turn,
         after all frames before it. Neither an error nor closing the iterator early harms the stream. ``cost`` is that of the
         frame handed out last, ``activity`` that of the frame begun last.
 
@@ -144,7 +144,7 @@ class Stream:
         except ArrayError:
             frame.finish()
             for cache in self._caches.values():
-                cache.last = None  # what is kept may come of what was not finite
+                cache.last = None  # it may have been computed from non-finite values
             raise
         return frame
 

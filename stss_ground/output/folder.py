@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A folder of numbered files with a list of what was written into it (docs/decisions/0025)."""
+"""A folder of numbered files with a list of the files that were written into it (docs/decisions/0025)."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def digest_of(path: Path) -> str:
 
 
 def sums_below(folder: Path) -> bytes:
-    """The list of all files below a folder but the list itself; a link counts as what it says."""
+    """The list of all files below a folder but the list itself; a link counts as its text."""
     lines: list[str] = []
     for path in sorted(folder.rglob("*")):
         if path.is_symlink() or (path.is_file() and path != folder / SUMS):
@@ -116,7 +116,7 @@ class OutputFolder:
         """Write the file ``name``, its place below the folder.
 
         Raises:
-            InputError: it can't be written; what was there is as it was.
+            InputError: it can't be written; the old file is as it was.
         """
         path, digest = self.path / name, hashlib.sha256(data).hexdigest()
         assert self._log is not None
@@ -173,7 +173,7 @@ class OutputFolder:
             sync_folder(folder)
 
     def dissolve(self, elsewhere: Mapping[str, str]) -> None:
-        """Remove each file that another folder has alike, then the list and the folders; what else is there stays.
+        """Remove each file that another folder has alike, then the list and the folders; other files stay.
 
         Args:
             elsewhere: name -> SHA-256 of the other folder's files.
@@ -196,7 +196,7 @@ class OutputFolder:
                 folder.rmdir()
 
     def _clear(self, name: str) -> None:
-        """Move what is at a file's place aside, unless it is what was written there."""
+        """Move a file at this place aside, unless it is the one that was written there."""
         path = self.path / name
         if not os.path.lexists(path) or self._digest(name) in self._sums.get(name, ()):
             return

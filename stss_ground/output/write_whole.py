@@ -54,7 +54,7 @@ def write_named(path: Path, data: bytes | str) -> None:
 
 
 def remove_unfinished(folder: Path) -> None:
-    """Remove what processes that were killed left of files that they wrote.
+    """Remove the unfinished files of processes that were killed.
 
     Raises:
         InputError: the folder can't be written to.

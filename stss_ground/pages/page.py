@@ -49,7 +49,7 @@ def page(title: str, html: str, *, styles: Sequence[str] = (), scripts: Sequence
         html: the body, markup.
         styles: further style sheets, after ``style.css``.
         scripts: their text; they run at the end of the body, in this order.
-        data: what scripts find as JSON in the element ``data``; None: no such element.
+        data: JSON for scripts in the element ``data``; None: no such element.
     """
     hashes = " ".join(f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'" for text in scripts)
     body = [html]

@@ -15,7 +15,7 @@ from stss_ref.frame import FrameInputs, NetworkInputs
 from stss_ref.sample import follow, leads_inside
 
 MOST = 24
-"""Frames that what was shown counts for at most."""
+"""The history's largest weight, in frames."""
 LEAST = 0.25
 """Least trust in the current frame, far from its samples."""
 

@@ -21,7 +21,7 @@ from stss_ref.weights import Weights
 
 @dataclass(frozen=True)
 class Setup:
-    """What a contender is made for: weights, size, device and threads.
+    """The setup of a contender: weights, size, device and threads.
 
     Attributes:
         weights: the 92 tensors.

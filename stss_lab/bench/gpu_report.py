@@ -128,7 +128,7 @@ def steps(folder: Path, device: str, *, tiny: bool) -> list[Step]:
 
 
 def _driver() -> Step:
-    """Ask the driver's tool for the device's versions, clocks, and what limits the clocks."""
+    """Ask the driver's tool for the device's versions, clocks, and the clocks' limits."""
     tools = {
         "nvidia-smi": ("--query",),
         "rocm-smi": ("--showallinfo",),
@@ -224,7 +224,7 @@ def _cell(text: str) -> str:
 
 
 def _write(folder: Path, machine: dict[str, str], outcomes: Sequence[StepResult], *, tiny: bool) -> None:
-    """The page: what is wrong, the steps and the machine."""
+    """The page: faults, steps and machine."""
     wrong = [
         *(
             f"**{each.name}** {each.outcome}, see `logs/{each.name}.txt`: {_cell(each.last_line) or 'no output'}"

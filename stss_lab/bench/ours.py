@@ -99,7 +99,7 @@ class Streamed:
     """
 
     frames = 24
-    """Of a run: so many that the first one, which nothing precedes, hardly counts."""
+    """Frames of a run: enough that the first one, which has no frame before it, hardly counts."""
 
     def __init__(self, setup: Setup, *, ahead: bool):
         device = importlib.import_module("stss_cl.device.discovery").open_device(setup.device)

@@ -19,7 +19,7 @@ LIGHT = (1.0, 1e-10, 1e-20, 1e-38, 1e-42, 0.0)
 RUNS = 5
 """Runs of each, of which the fastest counts."""
 GROWTH = 2
-"""The frames' sides are so many times those of the plan: what comes before a launch then hardly counts."""
+"""The frames' sides over those of the plan: the time before a launch then hardly counts."""
 
 
 def subnormal(plan: StressPlan) -> StressTable:

@@ -49,12 +49,12 @@ def short(number: float) -> str:
 
 @dataclass(frozen=True)
 class StressPlan:
-    """What is measured, and how much.
+    """The measurements, and their number.
 
     Attributes:
         engines: compared with the truth; the first is the reference in float32.
         seeds: how many draws of inputs, and of weights unless they are given; a number in a table is the worst of them.
-        size: (H, W) of the frames where the size is not what varies; multiples of 8.
+        size: (H, W) of the frames where the size does not vary; multiples of 8.
         sizes: sides of the square frames of the sweep over sizes.
         weights: the 92 tensors; None: random ones, different for each seed.
     """

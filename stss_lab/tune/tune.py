@@ -30,7 +30,7 @@ Choice = Sizes | str | None
 
 @dataclass(frozen=True)
 class Line:
-    """What was decided about one class of layers.
+    """The decision on one class of layers.
 
     Attributes:
         what: the class.

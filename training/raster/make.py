@@ -61,7 +61,7 @@ GROUNDS = (
 KARTS = ("tux", "konqi", "gnu", "kiki", "suzanne", "wilber", "puffy", "nolok", "pidgin", "xue")
 DAY, DUSK, NIGHT = ("park", "sky", "esplanade", "bridge", "venice"), ("dawn", "sunset", "sunrise"), ("night",)
 FRAMES, TRUTHS, SIZE = 7, (5, 6), (256, 144)
-"""An output needs five frames before its own; two outputs in a row show what flickers."""
+"""An output needs five frames before its own; two outputs in a row show flicker."""
 SAMPLES = 4
 """The truth has SAMPLES x SAMPLES samples a pixel."""
 LIGHT = ("sky", "skyGain", "sun", "sunColor", "sunPower", "exposed")

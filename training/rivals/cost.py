@@ -22,7 +22,7 @@ from training.rivals.networks import EARLIER, PLANES, between, rife
 from training.rivals.train import make
 
 ROWS = ("stss", "extranet", "nsrr", "nsrr+extranet", "rife")
-"""What is timed: `nsrr+extranet` is the second stage of the swapped order, `stss` the yardstick of `stss bench` in PyTorch."""
+"""The timed networks: `nsrr+extranet` is the second stage of the swapped order, `stss` the yardstick of `stss bench` in PyTorch."""
 
 
 def build(row: str) -> tuple[nn.Module, int]:
@@ -70,7 +70,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--threads", type=int, default=2)
     options = parser.parse_args(arguments)
     torch.set_num_threads(options.threads)
-    # One engine at a time: what OpenVINO holds for 3840x2160 leaves PyTorch no room in 23 GB.
+    # One engine at a time: OpenVINO's memory for 3840x2160 leaves PyTorch no room in 23 GB.
     for size, engine in product(options.size, options.engines):
         runs: dict[str, Callable[[], object]] = {}
         for row in options.rows:

@@ -25,7 +25,7 @@ Offset = tuple[float, float]
 
 @dataclass(frozen=True)
 class Jittered:
-    """What a temporal upsampler reads of a frame.
+    """The inputs of a temporal upsampler of a frame.
 
     Attributes:
         color: (H, W, 3) linear, in [0, 1]; in an EF the newest rendered frame, warped to now.

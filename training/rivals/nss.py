@@ -337,7 +337,7 @@ class Nss:
         for (i, j), weight in zip(
             ((0, 0), (1, 0), (0, 1), (1, 1)), ((1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy), strict=True
         ):
-            # Their offsets of the second and third sample are exchanged, but only for what lies off screen.
+            # Their offsets of the second and third sample are exchanged, but only off screen.
             at_x, at_y = x0 + j, y0 + i
             on = (at_x >= 0) & (at_y >= 0) & (at_x < width) & (at_y < height)
             rows = np.clip(gathered_y + j, 0, height - 1).astype(np.intp)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Add to the shards of analytic films what NSRR reads and ExtraNet aims at.
+"""Add the inputs of NSRR and the aims of ExtraNet to the shards of analytic films.
 
 The folder that is made has the same samples with the same truth; 28 channels follow the 35 of `training.samples`: colour and depth of
 the frame itself and of four rendered ones before it, then the motions to these.
@@ -27,7 +27,7 @@ from training.scenes import random_film
 
 
 def five_frames(frames: Mapping[int, DisplayFrame], colors: Mapping[int, Image], number: int, *, rendered: bool) -> Image:
-    """What NSRR reads, (H, W, 28).
+    """The inputs of NSRR, (H, W, 28).
 
     Where the sequence starts too late, its first rendered frame stands in for earlier ones.
 

@@ -35,7 +35,7 @@ ALL_COLORS = (*COLORS, *(slice(FRAMES + 4 * i, FRAMES + 4 * i + 3) for i in rang
 ALL_MOTIONS = (MOTION, *(slice(FRAMES + PLANES + 2 * i, FRAMES + PLANES + 2 * i + 2) for i in range(EARLIER)))
 NETWORKS: dict[str, Callable[[], nn.Module]] = {"extranet": ExtraNet, "nsrr": NSRR}
 KINDS: dict[str, tuple[Kind, ...]] = {"extranet": ("EF",), "nsrr": ("SF", "EF")}
-"""What each trains on. NSRR's EFs have the frame itself as newest, for which ExtraNet's stands later."""
+"""The training data of each. NSRR's EFs have the frame itself as newest, for which ExtraNet's stands later."""
 
 
 def make(name: str, seed: int = 0) -> nn.Module:

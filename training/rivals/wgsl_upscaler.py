@@ -145,7 +145,7 @@ class WgslUpscaler:
 
 
 def _half(planes: Image) -> Array:
-    """(H, W, 4) float16; what is missing is 0."""
+    """(H, W, 4) float16; missing channels are 0."""
     height, width, channels = planes.shape
     padded = np.zeros((height, width, 4), np.float16)
     padded[..., :channels] = planes.clip(-65504, 65504)
