@@ -161,14 +161,20 @@ def load_profile(name_or_path: str | Path, **changes: Any) -> Profile:
         path = named
         if not path.exists():
             raise InputError(f"profile {text}: expected one of {', '.join(profile_names())} or a TOML file")
-    table = read_toml(path, InputError)
-    if "base" in table.rest:
-        base = table.choice("base", profile_names())
-        of_base = read_toml(_TABLES / f"{base}.toml", InputError).rest
-        table.rest = _merged({**of_base, "name": path.stem, "title": f"{path.stem}, changed from {base}"}, table.rest)
+    table = _read(path)
     if changes:
         table.path, table.rest = f"profile {text} as changed", _merged(table.rest, changes)
     return _profile(path, table)
+
+
+def _read(path: Path) -> Table:
+    """A file's table, with what it leaves out from its base."""
+    table = read_toml(path, InputError)
+    if "base" in table.rest:
+        base = table.choice("base", profile_names())
+        whole = {**_read(_TABLES / f"{base}.toml").rest, "name": path.stem, "title": f"{path.stem}, changed from {base}"}
+        table.rest = _merged(whole, table.rest)
+    return table
 
 
 def _merged(top: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from stss.sequence.reader import open_sequence
 from stss_ground.errors import InputError
 from tests.app.conftest import write_parts
 
-BUILT_IN = ("blender", "mitsuba", "stss", "unreal", "unreal-mrq")
+BUILT_IN = ("blender", "blender-files", "mitsuba", "stss", "unreal", "unreal-mrq")
 
 
 def toml(name="stss"):
@@ -84,7 +84,7 @@ def test_a_profile_may_say_only_what_it_changes(tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ('base = "mine"', "base: expected one of blender, mitsuba, stss, unreal, unreal-mrq, found 'mine'"),
+        ('base = "mine"', "base: expected one of blender, blender-files, mitsuba, stss, unreal, unreal-mrq, found 'mine'"),
         ("base = 3", "base: expected one of blender"),
         ('base = "stss"\nunit = 1', "unit: unknown key; known are name, title, base"),
         ('base = "stss"\nmotion = {unit = "texels"}', "motion.unit: expected one of pixels, uv, ndc, found 'texels'"),
@@ -122,6 +122,18 @@ def test_passes_are_found_by_the_names_of_every_blender(tmp_path, layer):
     assert set(sequence.frames[1].sources) == set(BUFFERS) - {"nov"}
 
 
+def test_a_file_for_each_pass_is_found(tmp_path):
+    """As the File Output node writes them by default; Alpha is nobody's buffer."""
+    for of, letters in {**PASSES, **dict.fromkeys(("Alpha", *VALUES), "RGBA"), "basecolor": "RGBA"}.items():
+        write_channels(tmp_path / f"{of}0001.exr", {letter: np.ones((4, 4)) for letter in letters})
+    (tmp_path / "mine.toml").write_text('base = "blender-files"\nfiles = {base_color = "DiffCol"}')
+    for profile, base_color in ((None, "basecolor0001.exr"), (tmp_path / "mine.toml", "DiffCol0001.exr")):
+        sequence = open_sequence(tmp_path, profile)
+        assert sequence.profile.name == ("mine" if profile else "blender-files")
+        assert set(sequence.frames[1].sources) == set(BUFFERS) - {"nov"}
+        assert sequence.frames[1].sources["base_color"].path.name == base_color
+
+
 def test_all_buffers_that_are_missing_are_said_at_once(tmp_path):
     """An artist who adds one pass and renders again learns of no second one then."""
     names = [n for n in FILE_OUTPUT if not n.startswith(("metallic", "roughness", "IndexOB"))]
@@ -139,6 +151,7 @@ def test_all_buffers_that_are_missing_are_said_at_once(tmp_path):
         # The point came from 3 pixels right of and 2 pixels below where it is now, in an image 40 wide and 20 high.
         ("stss", (3, 2), (3, 2)),
         ("blender", (3, -2), (3, 2)),
+        ("blender-files", (3, -2), (3, 2)),
         ("unreal", (-3, 2), (3, 2)),
         ("unreal-mrq", (0.5 - 3 / 80, 0.5 + 2 / 40), (3, 2)),
         ("mitsuba", (3, 2), (3, 2)),
