@@ -18,6 +18,8 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 Sections = Mapping[str, Mapping[str, tuple[str, str]]]
 """Heading -> command -> ``module:attribute`` and the command's purpose, in one line."""
 
+IMAGES = (".exr", ".png")
+
 
 def places_of(ctx: click.Context) -> tuple[dict[str, Path], list[Path], list[Path]]:
     """The files of a command's parameters: option -> the file that it writes; the files that it reads; the folders that it writes into."""
@@ -85,6 +87,19 @@ class Subcommand(click.Command):
     It refuses, before it begins, to write a file that it reads, by the kinds of its parameters (``stss_ground.option_kinds``). Its
     options stand in the help under the headings that `grouped` gave them.
     """
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Parse; images of which a shell made many words are said to be that."""
+        images = [word for word in args if word.lower().endswith(IMAGES)]
+        try:
+            return super().parse_args(ctx, args)
+        except click.UsageError as error:
+            if len(images) > 1 and "extra argument" in error.message:
+                raise click.UsageError(
+                    f"{images[0]} and {len(images) - 1} more: expected a folder, or a pattern like name.####.exr, not each file",
+                    ctx,
+                ) from None
+            raise
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command, unless a file that is written is one that is read.

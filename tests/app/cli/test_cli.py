@@ -67,6 +67,15 @@ def plain(frames, tmp_path_factory):
     return out
 
 
+@pytest.mark.parametrize("command", ["check", "run -o out", "compare out"])
+def test_a_pattern_that_the_shell_wrote_out(frames, command):
+    """``stss check frames/*.exr``"""
+    refused(
+        call(*command.split(), *sorted(frames.iterdir())),
+        "demo.0000.exr and 9 more: expected a folder, or a pattern like name.####.exr",
+    )
+
+
 def names(out):
     return sorted(path.name for path in out.glob("frame.*"))
 
