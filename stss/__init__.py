@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from stss_ground.optional import add_own_conformance
 
 if TYPE_CHECKING:
+    from stss.check_sequence.frames import check_frames
     from stss.frames import Buffers, Supersampler, open_backend, supersample
     from stss.frames import check_buffers as check
     from stss.sequence import convert, load_profile, open_sequence
@@ -17,6 +18,7 @@ __all__ = [
     "Buffers",
     "Supersampler",
     "check",
+    "check_frames",
     "convert",
     "load_profile",
     "load_weights",
@@ -31,6 +33,7 @@ _HOMES = {
     "Buffers": ("stss.frames", "Buffers"),
     "Supersampler": ("stss.frames", "Supersampler"),
     "check": ("stss.frames", "check_buffers"),
+    "check_frames": ("stss.check_sequence.frames", "check_frames"),
     "convert": ("stss.sequence", "convert"),
     "load_profile": ("stss.sequence", "load_profile"),
     "load_weights": ("stss.weights", "load"),

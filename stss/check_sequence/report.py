@@ -286,7 +286,7 @@ def _pixels(
     for number in sorted({n for pair in sample for n in pair}) or usable[:1]:
         values.add(sequence, number)
     tables["values"] = values.table()
-    lines = [*motion_lines(verdict, sequence.profile.name), *values.lines(sequence, non_finite)]
+    lines = [*motion_lines(verdict, f"profile {sequence.profile.name}"), *values.lines(sequence, non_finite)]
     lines += [*(camera_lines(sequence, usable[0]) if usable else []), *geometry.lines()]
     rendered = [n for n in sorted(sequence.rendered) if n in usable]
     begin("colours")

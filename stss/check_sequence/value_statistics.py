@@ -26,14 +26,14 @@ FINE = 1 / 8
 
 
 def motion_lines(verdict: ConventionVerdict, profile: str) -> list[Line]:
-    """Findings about the profile's motion convention, from the warped frames."""
+    """Findings about the motion convention of ``profile``, such as "profile blender", from the warped frames."""
     if not verdict.pixels:
         return [("note", "motion: cannot tell whether its signs are right; too little moves, or nothing has texture")]
     compared = f"base colour and normal of the frame before, warped, over {verdict.pixels} pixels"
     if verdict.better is None:
-        return [("note", f"motion: fits as profile {profile} says ({compared}: {verdict.error:.4f})")]
+        return [("note", f"motion: fits as {profile} says ({compared}: {verdict.error:.4f})")]
     times = 1 / max(verdict.ratios[verdict.better], 1e-3)
-    text = f"motion: fits {times:.1f} times as well with {verdict.better}, so profile {profile} seems wrong ({compared})"
+    text = f"motion: fits {times:.1f} times as well with {verdict.better}, so {profile} seems wrong ({compared})"
     return [("warning", text)]
 
 
@@ -57,11 +57,14 @@ class Values:
         planes = read_stored(frame, sequence.canvas, sequence.constants)[0]
         self._count_non_finite(planes, number)
         buffers = sequence.load(number)
-        hit = np.isfinite(buffers.depth)
-        count = self._counts
+        self._add_background(planes["depth"][..., 0], np.isfinite(buffers.depth))
+        self.add_buffers(buffers)
+
+    def add_buffers(self, buffers: Buffers) -> None:
+        """Look at one frame that was not read from files."""
+        hit, count = np.isfinite(buffers.depth), self._counts
         count["pixels"] += hit.size
         count["hit"] += int(hit.sum())
-        self._add_background(planes["depth"][..., 0], hit)
         length = np.linalg.norm(buffers.normal.astype(np.float64), axis=-1)
         count["not unit"] += int((hit & (np.abs(length - 1) > 0.01)).sum())
         count["negative normals"] += int((buffers.normal < 0).any(axis=-1).sum())
@@ -71,7 +74,7 @@ class Values:
             self._stencils |= {float(x) for x in np.unique(buffers.stencil[hit])}
         with np.errstate(over="ignore", invalid="ignore"):
             moved = np.abs(buffers.motion).max(axis=-1)
-        count["off the frame"] += int((hit & ~(moved < max(sequence.size))).sum())
+        count["off the frame"] += int((hit & ~(moved < max(buffers.size))).sum())
         self._highest("motion", moved)
         self._highest("stencil", buffers.stencil)
         self._highest("position", np.abs(buffers.position[hit]))
@@ -137,18 +140,21 @@ class Values:
         return lines
 
     def _geometry_lines(self, sequence: Sequence) -> list[Line]:
-        lines: list[Line] = []
-        counts = self._counts
-        if not counts["hit"]:
-            lines.append(("warning", "depth: nothing was hit anywhere; expected linear depths > 0"))
-        prefix = "background "
+        prefix, counts = "background ", self._counts
         kinds = [f"{counts[key]} {key.removeprefix(prefix)}" for key in counts if key.startswith(prefix) and counts[key]]
         listing = f", stored as: {', '.join(kinds)}" if kinds else ""
-        lines.append(("note", f"depth: {1 - self._share('hit', 'pixels'):.1%} background{listing}"))
+        lines: list[Line] = [("note", f"depth: {1 - self._share('hit', 'pixels'):.1%} background{listing}")]
         ray = sequence.profile.depth.kind == "ray"
         if ray and not any(f.camera is not None and f.camera.to_camera is not None for f in sequence.frames.values()):
             lines.append(("note", "depth: a ray's length, used as it is; the files have no worldToCamera to make it planar"))
-        if counts["hit"] and not counts["negative normals"]:
+        return lines + self.buffer_lines(sequence.profile.hints.get("motion")) + self._merged_lines(sequence)
+
+    def buffer_lines(self, hint: str | None = None) -> list[Line]:
+        """Findings that need no files; ``hint``: what to do where no motion was rendered."""
+        lines: list[Line] = []
+        if not self._counts["hit"]:
+            lines.append(("warning", "depth: nothing was hit anywhere; expected linear depths > 0"))
+        elif not self._counts["negative normals"]:
             lines.append(("warning", "normal: no negative component anywhere; expected -1..1, it looks like 0..1"))
         elif share := self._share("not unit"):
             level: Level = "warning" if share > 0.2 else "note"
@@ -159,10 +165,9 @@ class Values:
         if (share := self._share("off the frame")) > 0.5:
             lines.append(("warning", f"motion: {share:.1%} of the pixels move by more than the frame, or non-finite"))
         if self._most.get("motion") == 0:
-            hint = sequence.profile.hints.get("motion")
             text = "motion: 0 everywhere; expected only where neither camera nor objects move"
             lines.append(("note", f"{text}; else {hint}" if hint else text))
-        return lines + self._merged_lines(sequence) + self._stencil_lines()
+        return lines + self._stencil_lines()
 
     def _merged_lines(self, sequence: Sequence) -> list[Line]:
         source = next((f.sources["stencil"] for f in sequence.frames.values() if "stencil" in f.sources), None)

@@ -107,6 +107,10 @@ def of_sequences(device, demo, folder):
     return {}, lambda made: None
 
 
+def of_some_frames(device, demo, folder):
+    return {"frames": [buffers(number) for number in range(4)]}, lambda made: made["level"] in ("note", "warning")
+
+
 def of_frames(device, demo, folder):
     inputs = films.frame_inputs(SIZE)
     color, gbuffer, mask, history = films.network_inputs(SIZE)
@@ -148,6 +152,7 @@ def of_ports(device, demo, folder):
 NEEDS = {
     "rules = stss.load_profile": of_engines,
     'frames = stss.open_sequence("frames/")': of_sequences,
+    "stss.check_frames(frames)": of_some_frames,
     "net = Network(weights)": of_frames,
     "gbuffer = cla.Array": of_wrapped_buffers,
     "Stream(weights).frames(calls)": of_frames_ahead,
@@ -172,7 +177,7 @@ def test_blocks_run_as_they_stand(name, device, demo, tmp_path, monkeypatch):
 
 def test_a_block_that_is_wrong_would_be_found(device, demo, tmp_path, monkeypatch):
     """The page once said so, and each profile refused it; a table keeps what a change leaves out, where its kind has it."""
-    (block,) = [block for name, block in CODE if name == "docs/engines.md"]
+    block = next(block for name, block in CODE if name == "docs/engines.md")
     wrong = block.replace('"reversed": True', '"reversed": False')
     assert wrong != block
     made = {}

@@ -61,6 +61,8 @@ CALLS = {  # what is called with a value -> the kinds of `WRONG` that it takes
     "check number": (lambda v: stss.check(buffers(number=v)), (int,)),
     "check carried": (lambda v: stss.check(buffers(carried=v)), (dict,)),
     "check carried plane": (lambda v: stss.check(buffers(carried={"x": v})), ()),
+    "check_frames": (stss.check_frames, ()),
+    "check_frames frame": (lambda v: stss.check_frames([v]), ()),
     "convert number": (lambda v: stss.convert(v, planes()), (int,)),
     "convert planes": (lambda v: stss.convert(0, v), ()),
     "convert profile": (lambda v: stss.convert(0, planes(), v), ()),

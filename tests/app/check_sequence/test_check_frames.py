@@ -1,0 +1,68 @@
+"""An engine's frames in memory are checked as its files would be."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import stss
+from conformance.scenes import SCENES, render
+from stss.check_sequence.report import check
+from stss.demo import demo_path, frame_channels
+from stss.images.read_write import write_channels
+from stss.sequence.reader import SequenceOptions, open_sequence
+from stss_ground.errors import InputError
+
+NUMBERS = range(4)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    path = tmp_path_factory.mktemp("frames")
+    for number in NUMBERS:
+        write_channels(
+            demo_path(path, number), frame_channels(render(SCENES["flythrough"], number, 54, 96), rendered=number % 2 == 0)
+        )
+    return path
+
+
+@pytest.fixture(scope="module")
+def frames(folder):
+    sequence = open_sequence(folder, "stss")
+    return [sequence.load(number) for number in NUMBERS]
+
+
+def test_the_lines_are_those_of_files(folder, frames):
+    """But for those that only files have."""
+    lines = stss.check_frames(frames)
+    assert {level for level, _ in lines} == {"note"}
+    of_files = [f.text.replace("profile stss", "its profile") for f in check(folder, SequenceOptions("stss")).findings]
+    assert {text for _, text in lines} <= {*of_files}
+    assert any(text.startswith("motion: right to ") for _, text in lines)
+
+
+MISTAKES = {
+    "motion: seems to be from the frame before": lambda f: replace(f, motion=-f.motion),
+    "motion: seems to be in UV": lambda f: replace(f, motion=f.motion / np.float32([96, 54])),
+    "stencil: 0 on ": lambda f: replace(f, stencil=0 * f.stencil),
+    "normal: no negative component": lambda f: replace(f, normal=f.normal / 2 + 0.5),
+    "background: its motion is 0": lambda f: replace(f, motion=np.where(np.isfinite(f.depth)[..., None], f.motion, 0)),
+    "colour: looks encoded": lambda f: f if f.color is None else replace(f, color=f.color.clip(0, 1) ** np.float32(1 / 2.2)),
+}
+
+
+@pytest.mark.parametrize("said", MISTAKES)
+def test_each_mistake_is_a_warning_and_comes_first(frames, said):
+    lines = stss.check_frames(map(MISTAKES[said], frames))
+    assert lines[0][0] == "warning"
+    assert any(level == "warning" and text.startswith(said) for level, text in lines), lines
+
+
+def test_frames_that_tell_nothing_are_refused(frames):
+    apart = [frames[0], frames[2]]
+    cut = [frames[0], replace(frames[1], cut=True)]
+    for row in ([], frames[:1], apart, cut):
+        with pytest.raises(InputError, match="frames: expected two of successive numbers"):
+            stss.check_frames(row)
+    with pytest.raises(InputError, match="frame 1: depth: expected an array"):
+        stss.check_frames([frames[0], replace(frames[1], depth=None)])
