@@ -110,22 +110,22 @@ def missing_modules(path):
 
 def missing_decisions(path):
     """Decisions that a page or a comment names by number and that are not there."""
-    said = re.sub(r"\s+(?://|#)?\s*", " ", prose(path) if path.suffix == ".md" else comments(path))
+    text = re.sub(r"\s+(?://|#)?\s*", " ", prose(path) if path.suffix == ".md" else comments(path))
     pages = {int(page.name[:4]) for page in (ROOT / "docs" / "decisions").glob("0*.md")}
-    for number in re.findall(r"(?<!its )\bdecisions? (\d+)\b|\bdecisions/[\w.-]+, (0\d{3})\b", said):
+    for number in re.findall(r"(?<!its )\bdecisions? (\d+)\b|\bdecisions/[\w.-]+, (0\d{3})\b", text):
         if int("".join(number)) not in pages:
             yield f"decision {''.join(number)} is not there"
 
 
 def missing_references(path):
     """Files and -D options that comments name and that are not there."""
-    said = re.sub(r"\s+(?://|#)?\s*", " ", comments(path))
-    for name in re.findall(r"(?<![\w./*-])(?:[\w-]+/)*[\w-]+\.(?:clh?|md|py|toml)\b(?!\.\w)", said):
+    text = re.sub(r"\s+(?://|#)?\s*", " ", comments(path))
+    for name in re.findall(r"(?<![\w./*-])(?:[\w-]+/)*[\w-]+\.(?:clh?|md|py|toml)\b(?!\.\w)", text):
         there = any((folder / name).is_file() for folder in (ROOT, path.parent)) if "/" in name else name in NAMES
         if not there and name not in ELSEWHERE:
             yield f"{name} is not there"
     if path in KERNELS:
-        options = re.findall(r"-D ((?:[A-Z][A-Z0-9_]*(?:, | and |\b))+)", said)
+        options = re.findall(r"-D ((?:[A-Z][A-Z0-9_]*(?:, | and |\b))+)", text)
         for name in {word for some in options for word in re.findall(r"[A-Z]\w*", some)} - OF_KERNELS:
             yield f"-D {name} is in no kernel"
 

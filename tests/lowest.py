@@ -16,18 +16,18 @@ EXTRAS = ("conform",)
 
 def lowest(requirement):
     """``a>=1.2; marker`` as ``a==1.2.*; marker``."""
-    found = re.fullmatch(r"([\w.\[\]-]+)>=([\d.]+)(;.*)?", requirement.replace(" ;", ";"))
-    if not found:
+    match = re.fullmatch(r"([\w.\[\]-]+)>=([\d.]+)(;.*)?", requirement.replace(" ;", ";"))
+    if not match:
         raise ValueError(f"{requirement!r}: expected name>=version")
-    name, version, marker = found.groups()
+    name, version, marker = match.groups()
     return f"{name}=={version}.*{marker or ''}"
 
 
 def requirements():
     """Of the default install, and of what the judge and its tests need."""
     project = tomllib.loads(PROJECT.read_text(encoding="utf-8"))["project"]
-    wanted = [*project["dependencies"], *(line for extra in EXTRAS for line in project["optional-dependencies"][extra])]
-    return [lowest(requirement) for requirement in wanted]
+    requirements = [*project["dependencies"], *(line for extra in EXTRAS for line in project["optional-dependencies"][extra])]
+    return [lowest(requirement) for requirement in requirements]
 
 
 if __name__ == "__main__":

@@ -31,13 +31,13 @@ NAME = (
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("tests", nargs="*", default=["tests/cl"], help="what pytest is to run  [default: tests/cl]")
-    given = parser.parse_args()
+    options = parser.parse_args()
     wheels()
 
     results = []
     for name, library in runtimes().items():
         # A simulator takes hours for what is not written for it.
-        tests = ["tests/cl/test_memory.py"] if "oclgrind" in name.lower() else given.tests
+        tests = ["tests/cl/test_memory.py"] if "oclgrind" in name.lower() else options.tests
         results.append((name, *examine(library, tests)))
         print(f"{results[-1][0]}: {results[-1][2]}", flush=True)
     print()
@@ -64,8 +64,8 @@ def runtimes():
         ("Intel (wheel)", FOLDER, "lib/libintelocl.so"),
         ("Oclgrind (wheel)", FOLDER, "lib/python*/site-packages/pyopencl/.libs/liboclgrind-rt-icd*.so"),
     )
-    found = {name: path for name, place, pattern in places for path in sorted(place.glob(pattern))[:1]}
-    return found | {f"{path.stem} (system)": path for path in sorted(Path("/etc/OpenCL/vendors").glob("*.icd"))}
+    paths = {name: path for name, place, pattern in places for path in sorted(place.glob(pattern))[:1]}
+    return paths | {f"{path.stem} (system)": path for path in sorted(Path("/etc/OpenCL/vendors").glob("*.icd"))}
 
 
 def examine(library, tests):
@@ -78,9 +78,9 @@ def examine(library, tests):
         return subprocess.run(command, cwd=ROOT, env=env, capture_output=True, text=True, timeout=seconds, check=False)
 
     try:
-        asked = run("-c", NAME, seconds=60)
-        if asked.returncode:
-            return (asked.stderr.strip().splitlines() or [""])[-1][:80], "no device", 0
+        answer = run("-c", NAME, seconds=60)
+        if answer.returncode:
+            return (answer.stderr.strip().splitlines() or [""])[-1][:80], "no device", 0
         tested = run("-m", "pytest", "-q", "--tb=line", "-p", "no:cacheprovider", *tests, seconds=LIMIT)
     except subprocess.TimeoutExpired:
         return "", f"hung: {LIMIT} s", int(time.monotonic() - start)
@@ -88,7 +88,7 @@ def examine(library, tests):
     if tested.returncode:
         print(tested.stdout[-4000:], tested.stderr[-1000:])
     result = f"crashed: signal {-tested.returncode}" if tested.returncode < 0 else re.sub(r" in .*|=", "", last).strip()
-    return asked.stdout.strip(), result, int(time.monotonic() - start)
+    return answer.stdout.strip(), result, int(time.monotonic() - start)
 
 
 if __name__ == "__main__":

@@ -93,10 +93,10 @@ def test_the_table_of_kernels_has_the_options_that_they_take():
 
 def test_no_large_file_is_kept():
     """A clone stays small; weights, 1.7 MB each, are the largest."""
-    found = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=False)
-    if found.returncode:
+    listing = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=False)
+    if listing.returncode:
         pytest.skip("not a checkout of git")
-    assert not [name for name in filter(None, found.stdout.split("\0")) if (ROOT / name).stat().st_size > 3e6]
+    assert not [name for name in filter(None, listing.stdout.split("\0")) if (ROOT / name).stat().st_size > 3e6]
 
 
 def test_no_package_names_one_above_it():

@@ -26,7 +26,7 @@ y, x, height, width = map(int, place.split(","))
 zoom = 2 if height < SMALL else 1
 panels = []
 for folder in folders:
-    found = read_rgb(next(Path(folder).glob(f"*{int(number):04d}.exr")))[y : y + height, x : x + width]
-    shown = transfer("srgb").display(found).repeat(zoom, axis=0).repeat(zoom, axis=1)
-    panels.append(np.pad(shown, ((0, 0), (0, GAP), (0, 0)), constant_values=1))
+    image = read_rgb(next(Path(folder).glob(f"*{int(number):04d}.exr")))[y : y + height, x : x + width]
+    pixels = transfer("srgb").display(image).repeat(zoom, axis=0).repeat(zoom, axis=1)
+    panels.append(np.pad(pixels, ((0, 0), (0, GAP), (0, 0)), constant_values=1))
 write_rgb(Path(picture), np.concatenate(panels, axis=1)[:, :-GAP])

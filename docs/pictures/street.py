@@ -51,16 +51,16 @@ LOOKS = {
 
 def material(name, color, mortar=None, scale=1.0, axes="XY"):
     """One colour, or bricks in a plane of the object's two axes."""
-    made = bpy.data.materials.new(name)
-    made.use_nodes = True
-    nodes, links = made.node_tree.nodes, made.node_tree.links
+    material_data = bpy.data.materials.new(name)
+    material_data.use_nodes = True
+    nodes, links = material_data.node_tree.nodes, material_data.node_tree.links
     shader = nodes["Principled BSDF"]
     shader.inputs["Roughness"].default_value = 1.0
     shader.inputs["Specular IOR Level"].default_value = 0.0
     shader.inputs["Emission Strength"].default_value = LIGHT
     for socket in ("Base Color", "Emission Color"):
         shader.inputs[socket].default_value = (*color, 1)
-    made.cycles.emission_sampling = "NONE"  # no lamp of its own: no noise
+    material_data.cycles.emission_sampling = "NONE"  # no lamp of its own: no noise
     if mortar:
         place, apart, plane, bricks = (
             nodes.new(f"ShaderNode{kind}") for kind in ("TexCoord", "SeparateXYZ", "CombineXYZ", "TexBrick")
@@ -74,17 +74,17 @@ def material(name, color, mortar=None, scale=1.0, axes="XY"):
             bricks.inputs[socket].default_value = (*value, 1)
         for socket in ("Base Color", "Emission Color"):
             links.new(bricks.outputs["Color"], shader.inputs[socket])
-    return made
+    return material_data
 
 
 def put(data, of, at=(0, 0, 0), turn=(0, 0, 0)):
     """An object of some mesh or curve."""
-    made = bpy.data.objects.new(data.name, data)
-    made.location, made.rotation_euler = at, turn
-    made.visible_diffuse = False  # lights nothing else: no noise
+    thing = bpy.data.objects.new(data.name, data)
+    thing.location, thing.rotation_euler = at, turn
+    thing.visible_diffuse = False  # lights nothing else: no noise
     data.materials.append(of)
-    bpy.context.scene.collection.objects.link(made)
-    return made
+    bpy.context.scene.collection.objects.link(thing)
+    return thing
 
 
 def boxes(name, of, parts, at=(0, 0, 0), turn=(0, 0, 0)):
@@ -333,8 +333,8 @@ def main():
     scene = make()
     plain(scene)
     scene.frame_start, scene.frame_end = FRAMES[0], FRAMES[-1]
-    told = set_up(scene, scene.view_layers[0])
-    assert not told, told
+    warnings = set_up(scene, scene.view_layers[0])
+    assert not warnings, warnings
     (out / "lr").mkdir(parents=True, exist_ok=True)
     write_camera(scene, FRAMES, out / "camera.csv")
     for number in FRAMES:

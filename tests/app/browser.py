@@ -23,7 +23,7 @@ shown.onload = async () => {{
 </script>"""
 
 
-def found():
+def find_browser():
     """The browser's program; None where there is none."""
     return next((path for name in NAMES if (path := shutil.which(name))), None)
 
@@ -33,8 +33,8 @@ def ask(path, script, width=1280, more=("--disable-gpu",)):
     outer = path.with_name(f"outer-{path.name}")
     outer.write_text(OUTER.format(src=path.resolve().as_uri(), width=width, script=script))
     options = ("--headless=new", "--no-sandbox", *more, "--allow-file-access-from-files")
-    command = [found(), *options, f"--user-data-dir={path.parent / 'profile'}", "--dump-dom", outer.as_uri()]
+    command = [find_browser(), *options, f"--user-data-dir={path.parent / 'profile'}", "--dump-dom", outer.as_uri()]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
-    said = re.search(r'<pre id="said">(.*?)</pre>', done.stdout, re.DOTALL)
-    assert said, done.stderr
-    return json.loads(html.unescape(said[1]))
+    result = re.search(r'<pre id="said">(.*?)</pre>', done.stdout, re.DOTALL)
+    assert result, done.stderr
+    return json.loads(html.unescape(result[1]))

@@ -74,14 +74,14 @@ KINDS = {"uint8": "uint8", "uint32": "uint", "float32": "float"}
 """OpenImageIO's names for them."""
 
 
-def write_parts(path, *parts, stored=None):
+def write_parts(path, *parts, number_type=None):
     """Write an image by OpenImageIO alone; of each part (H, W, C) pixels, the channels' names and attributes, each with its arguments.
 
-    ``stored``: as what its values are stored; None: as what they are.
+    ``number_type``: of its values in the file; None: their own.
     """
     output, specs = oiio.ImageOutput.create(str(path)), []
     for pixels, names, attributes in parts:
-        spec = oiio.ImageSpec(*pixels.shape[1::-1], pixels.shape[2], stored or KINDS[str(pixels.dtype)])
+        spec = oiio.ImageSpec(*pixels.shape[1::-1], pixels.shape[2], number_type or KINDS[str(pixels.dtype)])
         spec.channelnames = names
         for name, value in attributes.items():
             spec.attribute(name, *value)
@@ -95,8 +95,8 @@ def write_parts(path, *parts, stored=None):
 
 def files(folder):
     """Every file below, by its path; a link counts as what it says, a folder as none."""
-    found = {path.relative_to(folder).as_posix(): path for path in Path(folder).rglob("*")}
-    return {n: p.readlink() if p.is_symlink() else p.read_bytes() for n, p in found.items() if p.is_symlink() or p.is_file()}
+    paths = {path.relative_to(folder).as_posix(): path for path in Path(folder).rglob("*")}
+    return {n: p.readlink() if p.is_symlink() else p.read_bytes() for n, p in paths.items() if p.is_symlink() or p.is_file()}
 
 
 def frames_of(out):
@@ -119,6 +119,6 @@ def blender_camera(tmp_path_factory):
 @pytest.fixture(scope="session")
 def ask():
     """`browser.ask`; tests that want it are skipped where no browser is installed."""
-    if browser.found() is None:
+    if browser.find_browser() is None:
         pytest.skip(f"no browser: none of {', '.join(browser.NAMES)} is installed")
     return browser.ask

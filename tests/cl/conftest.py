@@ -86,11 +86,11 @@ def launch_nothing(patch):
     return names
 
 
-def watch_launches(patch, seen):
+def watch_launches(patch, launches):
     """From now on call ``seen(queue, kernel, group)`` before each launch; an event that it gives stands for the launch."""
     launch = cl.enqueue_nd_range_kernel
 
     def launched(queue, kernel, size, group, *more, **options):
-        return seen(queue, kernel, group) or launch(queue, kernel, size, group, *more, **options)
+        return launches(queue, kernel, group) or launch(queue, kernel, size, group, *more, **options)
 
     patch.setattr(cl, "enqueue_nd_range_kernel", launched)

@@ -34,7 +34,7 @@ def network_inputs(size, seed=0, share=0.7):
 def frame_inputs(size, seed=0, steps=(1, 3, 5), **others):
     """Inputs of a frame: noise on one still surface, but for ``others``."""
     random = np.random.default_rng(seed)
-    drawn = {
+    planes = {
         "colors": random.random((3, *size, 3)),
         "motions": random.uniform(-3, 3, (5, *size, 2)),
         "gbuffer": random.random((*size, 9)),
@@ -43,7 +43,7 @@ def frame_inputs(size, seed=0, steps=(1, 3, 5), **others):
         "normals": np.ones((4, *size, 3)),
         "positions": np.zeros((4, *size, 3)),
     } | others
-    return FrameInputs(steps=steps, **{name: np.asarray(array, np.float32) for name, array in drawn.items()})
+    return FrameInputs(steps=steps, **{name: np.asarray(array, np.float32) for name, array in planes.items()})
 
 
 def uneven(size, seed=0):
@@ -115,13 +115,13 @@ def calls_of(frames):
 
 def on(device, frame):
     """The same frame on the device, as an engine's buffers wrapped into arrays."""
-    held = {}
+    arrays = {}
     for name in (field.name for field in fields(frame) if field.name not in ("number", "carried")):
         array = getattr(frame, name)
         if array is not None:
             buffer = cl.Buffer(device.context, cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR, hostbuf=array)
-            held[name] = cla.Array(device.queue, array.shape, array.dtype, data=buffer)
-    return replace(frame, **held)
+            arrays[name] = cla.Array(device.queue, array.shape, array.dtype, data=buffer)
+    return replace(frame, **arrays)
 
 
 def assert_same(got, want):

@@ -51,12 +51,12 @@ def sums_of(inputs, packed, size, stride):
     y, x = (np.indices(size) * stride).reshape(2, -1)
     sums = np.tile(bias, (y.size, 1))
     step = 0
-    for held in inputs:
-        values = np.zeros((held.data.size // 2,), np.uint16)
-        cl.enqueue_copy(held.queue, values, held.data)
+    for buffer in inputs:
+        values = np.zeros((buffer.data.size // 2,), np.uint16)
+        cl.enqueue_copy(buffer.queue, values, buffer.data)
         for tap in range(3):
-            for k in range(-(-3 * held.channels // 32)):
-                first = ((y + tap) * held.columns + x) * held.channels + (24 if held.channels == 24 else 32) * k
+            for k in range(-(-3 * buffer.channels // 32)):
+                first = ((y + tap) * buffer.columns + x) * buffer.channels + (24 if buffer.channels == 24 else 32) * k
                 a = values[first[:, None] + np.arange(32)]
                 for part in range(len(bias) // 16):
                     place = slice(16 * part, 16 * part + 16)
@@ -78,15 +78,15 @@ def test_a_layer_has_the_bits_of_the_units(processor, unoptimised, units, layer)
     size, a, b, outputs, gated, stride = layer
     random = np.random.default_rng(0)
     packed = pack(tensors(random, "layer", a + b, outputs, gated), "layer", tuple((n, n) for n in (a, b) if n))
-    held = [padded(processor, size[0] * stride, size[1] * stride, n, BFLOAT16) for n in (a, b) if n]
-    for buffer in held:
+    inputs = [padded(processor, size[0] * stride, size[1] * stride, n, BFLOAT16) for n in (a, b) if n]
+    for buffer in inputs:
         write(processor, buffer, random.normal(size=(buffer.height, buffer.width, buffer.channels)))
     out = padded(processor, *size, outputs, BFLOAT16)
-    made = conv(processor, ConvSpec("test", "layer", packed, stride), held[0], (*held, None)[1], out)
-    assert made.source.file == "conv_amx.cl"
-    made.enqueue(processor.queue)
-    shown = [SimpleNamespace(data=h.data, channels=h.channels, columns=h.columns, queue=processor.queue) for h in held]
-    sums = sums_of(shown, packed, size, stride)
+    launch = conv(processor, ConvSpec("test", "layer", packed, stride), inputs[0], (*inputs, None)[1], out)
+    assert launch.source.file == "conv_amx.cl"
+    launch.enqueue(processor.queue)
+    buffers = [SimpleNamespace(data=h.data, channels=h.channels, columns=h.columns, queue=processor.queue) for h in inputs]
+    sums = sums_of(buffers, packed, size, stride)
     want, got = np.maximum(sums[..., :outputs], 0), read(processor, out)
     if not gated:
         np.testing.assert_array_equal(got, from_bfloat16(to_bfloat16(want)))
@@ -127,23 +127,23 @@ def test_what_is_missing_is_said(gpu, monkeypatch):
     monkeypatch.setattr(amx.platform, "machine", lambda: "x86_64")
     assert amx.missing(gpu) == "no processor"
     both = "amx_bf16 amx_tile avx512_bf16 avx512vl"
-    for flags, allowed, said in (("avx2 amx_tile", True, "no matrix units"), (both, False, "refuses"), (both, True, "")):
+    for flags, allowed, words in (("avx2 amx_tile", True, "no matrix units"), (both, False, "refuses"), (both, True, "")):
         monkeypatch.setattr(amx, "cpu_flags", lambda flags=flags: frozenset(flags.split()))
         monkeypatch.setattr(amx, "permitted", lambda allowed=allowed: allowed)
-        assert said in amx.missing(pocl)
-        assert bool(amx.missing(pocl)) == bool(said)
+        assert words in amx.missing(pocl)
+        assert bool(amx.missing(pocl)) == bool(words)
     other = SimpleNamespace(platform=SimpleNamespace(name="Oclgrind"), name="Oclgrind Simulator", type=cl.device_type.CPU)
     assert "compiler" in amx.missing(Properties(other))
 
 
 def test_that_it_is_emulated_is_said(processor, monkeypatch):
-    said = []
+    lines = []
     monkeypatch.setattr(selection, "choose", lambda name, tell, trial: processor)
     monkeypatch.setattr(amx, "missing", lambda _: "no matrix units")
-    open_backend("cl", zeros(), ComputeOptions(precision="bfloat16"), tell=said.append)
-    assert said == ["bfloat16: no matrix units; emulated, which is slow"]
-    open_backend("cl", zeros(), ComputeOptions(), tell=said.append)
-    assert len(said) == 1
+    open_backend("cl", zeros(), ComputeOptions(precision="bfloat16"), tell=lines.append)
+    assert lines == ["bfloat16: no matrix units; emulated, which is slow"]
+    open_backend("cl", zeros(), ComputeOptions(), tell=lines.append)
+    assert len(lines) == 1
 
 
 def test_the_last_layer_writes_the_image(processor, unoptimised, units, monkeypatch):
@@ -152,11 +152,11 @@ def test_the_last_layer_writes_the_image(processor, unoptimised, units, monkeypa
     inputs, images, weights = network_inputs((13, 75), 3), [], random_weights(3)
     for fused in (True, False):
         monkeypatch.setattr(layers, "plan", lambda *a, is_fused=fused, **rest: plan(*a, **{**rest, "fused": is_fused}))
-        made = Network(weights, processor, "bfloat16")
-        images.append(made(*inputs))
-        assert (made.layers(13, 75).launches[-1].name == "image") == (not fused)
-    held = made.layers(13, 75).launches[-1].arguments["feature"]
-    features = np.empty(held.size // 2, np.uint16)
-    cl.enqueue_copy(processor.queue, features, held)
+        network = Network(weights, processor, "bfloat16")
+        images.append(network(*inputs))
+        assert (network.layers(13, 75).launches[-1].name == "image") == (not fused)
+    feature = network.layers(13, 75).launches[-1].arguments["feature"]
+    features = np.empty(feature.size // 2, np.uint16)
+    cl.enqueue_copy(processor.queue, features, feature)
     absolute = np.abs(weights["outc.weight"]).sum(axis=1).max() * from_bfloat16(features).max() + np.abs(images[0]).max()
     assert 0 < np.abs(images[0] - images[1]).max() <= (2.0**-17 + 2 * 50 * 2.0**-24) * absolute

@@ -25,18 +25,18 @@ def test_changes_and_what_is_not_finite_are_found(device, height, width, places,
     now = {name: array.copy() for name, array in before.items()}
     for name, where, value in places:
         now[name].flat[int(where * now[name].size)] = value
-    shown, earlier = ({name: incoming(device, array) for name, array in each.items()} for each in (now, before))
-    color, color_before = shown.pop("color"), earlier.pop("color")
+    now_planes, earlier = ({name: incoming(device, array) for name, array in each.items()} for each in (now, before))
+    color, color_before = now_planes.pop("color"), earlier.pop("color")
     arrival = Arrival(device, height, width)
     compared = (earlier, color_before) if compares else (None, None)
-    bad, changed, recolored = arrival.look(shown, color if colored else None, *compared)
+    bad, changed, recolored = arrival.look(now_planes, color if colored else None, *compared)
     expected = [name for name in FINITE if not np.isfinite(now[name]).all() and (colored or name != "color")]
     assert (bad or arrival.not_finite()) == (expected[0] if expected else None)
     differ = {name: (now[name].view(np.uint32) != before[name].view(np.uint32)).any(-1) for name in (*COMPARED, "color")}
     moved = np.logical_or.reduce([(now["motion"] != 0).any(-1), *(differ[name] for name in COMPARED)])
-    for found, pixels, known in ((changed, moved, True), (recolored, differ["color"], colored)):
-        if expected or not compares or not known:
-            assert found is None
+    for marks, pixels, pixels_known in ((changed, moved, True), (recolored, differ["color"], colored)):
+        if expected or not compares or not pixels_known:
+            assert marks is None
         else:
             padded = np.pad(pixels, ((0, -height % 4), (0, -width % 4)))
-            assert np.array_equal(found, padded.reshape(len(padded) // 4, 4, -1, 4).any((1, 3)))
+            assert np.array_equal(marks, padded.reshape(len(padded) // 4, 4, -1, 4).any((1, 3)))

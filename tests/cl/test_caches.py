@@ -196,12 +196,12 @@ def test_all_caches_lie_in_one_private_folder(processor, bare, tmp_path):
 
 def test_a_cache_without_execution_is_not_used(tmp_path, monkeypatch):
     """Kernels could not be loaded from there, and the device would get the blame for good."""
-    found, noexec = os.statvfs(tmp_path), tmp_path / "cache"
+    status, noexec = os.statvfs(tmp_path), tmp_path / "cache"
     flags = namedtuple("Flags", "f_flag f_frsize f_blocks f_bfree f_bavail")
 
     def statvfs(path):
         extra = os.ST_NOEXEC if Path(path) == noexec else 0
-        return flags(extra, found.f_frsize, found.f_blocks, found.f_bfree, found.f_bavail)
+        return flags(extra, status.f_frsize, status.f_blocks, status.f_bfree, status.f_bavail)
 
     monkeypatch.setattr(os, "statvfs", statvfs)
     assert caches.is_temporary()
@@ -210,12 +210,12 @@ def test_a_cache_without_execution_is_not_used(tmp_path, monkeypatch):
 
 def test_a_driver_without_a_cache_gets_binaries_without_pickles(processor, monkeypatch, cache_home):
     monkeypatch.setattr(program, "has_src_build_cache", lambda handle: None)
-    kept = cache_home / "stss" / "binaries"
+    folder = cache_home / "stss" / "binaries"
     for content in (None, b"", b"not a binary"):
         if content is not None:
-            next(kept.iterdir()).write_bytes(content)
+            next(folder.iterdir()).write_bytes(content)
         program.build(open_device(processor.name), "selftest.cl")
-        (binary,) = kept.iterdir()
+        (binary,) = folder.iterdir()
         assert len(binary.read_bytes()) > 1000
     monkeypatch.setattr(program, "source", lambda file: pytest.fail("expected the binary"))
 

@@ -14,7 +14,7 @@ from tests.cl.films import UNREAD, WEIGHTS, assert_same, calls_of, film
 STOPS = film(8 * ("everything",) + 60 * ("nothing",) + 20 * ("rectangle",) + 30 * ("everything",), seed=3)
 
 
-def seen(stream, frames, plain=None):
+def decisions_of(stream, frames, plain=None):
     """For each frame the first letter of the part of the network that was run: whole, changed, none."""
     letters = ""
     for call in calls_of(frames):
@@ -27,7 +27,7 @@ def seen(stream, frames, plain=None):
 
 def test_where_something_changes(gpu):
     """What changed is computed. After eight frames that changed everywhere nobody looks until the 48th; then all that moved is computed."""
-    assert seen(Stream(WEIGHTS, gpu), STOPS) == 55 * "w" + 5 * "c" + 9 * "n" + 20 * "c" + 30 * "w"
+    assert decisions_of(Stream(WEIGHTS, gpu), STOPS) == 55 * "w" + 5 * "c" + 9 * "n" + 20 * "c" + 30 * "w"
 
 
 @pytest.mark.parametrize(
@@ -42,4 +42,4 @@ def test_a_camera_that_stops(processor, weights, decisions, monkeypatch):
     for i in range(28, 44):
         frames.append(replace(last, number=i, color=colored if i % 2 == 0 else None, motion=np.zeros_like(last.motion)))
     monkeypatch.setattr("stss_cl.skip.change_control.REST", 4)
-    assert seen(Stream(weights, processor), frames, Stream(weights, processor, skip="off")) == decisions
+    assert decisions_of(Stream(weights, processor), frames, Stream(weights, processor, skip="off")) == decisions

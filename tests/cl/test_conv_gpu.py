@@ -49,8 +49,8 @@ class Case:
         self.device, random = device, np.random.default_rng(seed)
         inputs = self.size[0] * self.stride, self.size[1] * self.stride
         self.x = random.random((*inputs, self.a + self.b)).astype(HALF)
-        drawn = tensors(random, "layer", self.a + self.b, self.outputs, self.gated)
-        self.weights = {name: array.astype(HALF).astype(FLOAT) for name, array in drawn.items()}
+        arrays = tensors(random, "layer", self.a + self.b, self.outputs, self.gated)
+        self.weights = {name: array.astype(HALF).astype(FLOAT) for name, array in arrays.items()}
         self.packed = pack(self.weights, "layer", tuple((n, n) for n in (self.a, self.b) if n))
         self.inputs = [padded(device, *inputs, n, dtype) for n in (self.a, self.b) if n]
         for buffer, first in zip(self.inputs, (0, self.a), strict=False):
@@ -69,34 +69,34 @@ class Case:
         """What the layer leaves of what was there before; nothing is written beyond the image."""
         write(self.device, self.out, np.broadcast_to(np.float32(before), (*self.size, self.outputs)))
         layer.enqueue(self.device.queue)
-        held = np.empty((self.out.rows, self.out.columns, self.outputs), self.out.dtype)
-        cl.enqueue_copy(self.device.queue, held, self.out.data)
-        held[self.out.inside] = 0
-        assert not held.any()
+        host = np.empty((self.out.rows, self.out.columns, self.outputs), self.out.dtype)
+        cl.enqueue_copy(self.device.queue, host, self.out.data)
+        host[self.out.inside] = 0
+        assert not host.any()
         return read(self.device, self.out)
 
     def is_right(self, layer, dtype):
         """Within what sums in float32, and storing in ``dtype``, may lose."""
         want, allowed = bounds(self.x, self.weights, self.stride, 0, gated=self.gated)
         want = np.maximum(want, 0)
-        stored = 0 if dtype == FLOAT else 2.0**-11 * np.abs(want) + 2.0**-24
-        return worst(np.abs(self.run(layer) - want), allowed + stored) <= 1
+        rounding = 0 if dtype == FLOAT else 2.0**-11 * np.abs(want) + 2.0**-24
+        return worst(np.abs(self.run(layer) - want), allowed + rounding) <= 1
 
 
 @pytest.mark.parametrize(("layer", "dtype", "rows"), [*zip(LAYERS, 5 * (FLOAT, HALF), 3 * (1, 1, 2, 2), strict=False)], ids=str)
 def test_local(device, layer, dtype, rows):
     case = Case(device, layer, dtype)
-    made = case.layer(Local(rows))
-    assert made.source.file == "conv_local.cl"
-    assert case.is_right(made, dtype)
+    launch = case.layer(Local(rows))
+    assert launch.source.file == "conv_local.cl"
+    assert case.is_right(launch, dtype)
 
 
 @pytest.mark.parametrize("layer", [layer for layer in LAYERS if layer[1] % 8 == 0], ids=str)
 def test_matrix_units(device, layer):
     case = Case(device, layer, HALF)
-    made = case.layer(MATRIX)
-    assert made.source.file == "conv_mma.cl"
-    assert case.is_right(made, HALF)
+    launch = case.layer(MATRIX)
+    assert launch.source.file == "conv_mma.cl"
+    assert case.is_right(launch, HALF)
 
 
 def test_which_kernel(device):
@@ -157,14 +157,14 @@ def test_tiles_of_a_list(device, processor, monkeypatch, layer, by_option, name,
         monkeypatch.setattr(layer_module, "marking", lambda _, marks: {"MARK": int(marks)})
     device = device if ROWS[name].get("local") else processor
     case = Case(device, layer, dtype)
-    made = case.by(replace(built_in(device), **ROWS[name]))
-    whole = case.run(made)
-    tiling = made.tiling
+    launch = case.by(replace(built_in(device), **ROWS[name]))
+    whole = case.run(launch)
+    tiling = launch.tiling
     tall, wide = (pixels // case.stride for pixels in tiling.step)
     tiles = np.array([(y, x) for y in range(tiling.rows) for x in range(tiling.columns)])[1::2]
     numbers = constant(device, (tiles[:, 0] << 16 | tiles[:, 1]).astype(np.uint32))
     listed = TileList(numbers, constant(device, np.array([len(tiles)], np.int32)))
-    some = replace(made.over(device, listed), size=(made.group[0], *made.size[1:]))
+    some = replace(launch.over(device, listed), size=(launch.group[0], *launch.size[1:]))
     inside = np.zeros(case.size, bool)
     for y, x in tiles:
         inside[tall * y : tall * (y + 1), wide * x : wide * (x + 1)] = True
@@ -181,7 +181,7 @@ def test_tiles_of_a_list(device, processor, monkeypatch, layer, by_option, name,
 @pytest.mark.parametrize("local", [Local(1), MATRIX], ids=str)
 def test_three_images_in_one_launch(device, local):
     """Into channels: the same bits as one after the other."""
-    case, made = Case(device, ((9, 35), 24, 0, 24, True, 1), HALF), []
+    case, outputs = Case(device, ((9, 35), 24, 0, 24, True, 1), HALF), []
     inputs = padded(device, *case.size, 24, HALF, images=3)
     write(device, inputs, np.random.default_rng(1).random((3, *case.size, 24)))
     for images in ((None,), range(3)):
@@ -191,6 +191,6 @@ def test_three_images_in_one_launch(device, local):
                 first = 24 * (image or 0)
                 spec = ConvSpec("test", "layer", case.packed)
                 conv(device, spec, inputs, None, out, image=image, out_first=first).enqueue(device.queue)
-        made.append(read(device, out))
-    assert made[0].any()
-    np.testing.assert_array_equal(*made)
+        outputs.append(read(device, out))
+    assert outputs[0].any()
+    np.testing.assert_array_equal(*outputs)

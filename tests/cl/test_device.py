@@ -72,11 +72,11 @@ def test_build_options_of_others_reach_no_kernel(kernels, device, monkeypatch):
 def test_programs_go_with_their_device(kernels, device):
     """A process that opens a device for each film grew by all that PyOpenCL and the driver know of its programs."""
     opened = open_device()
-    gone = weakref.ref(build(opened, "demo.cl", {"THREE": 3}))
-    assert gone() is not None
+    program = weakref.ref(build(opened, "demo.cl", {"THREE": 3}))
+    assert program() is not None
     del opened
     gc.collect()
-    assert gone() is None
+    assert program() is None
 
 
 def test_a_second_kernel_of_a_kind_costs_no_generated_code(kernels, device):
@@ -114,11 +114,11 @@ def test_a_graphics_processor_comes_first_and_a_simulator_is_none(machine, monke
 
 def test_a_kernel_that_does_not_build_shows_its_line(device, kernels):
     (kernels / "broken.cl").write_text("kernel void f(global float *a)\n{\n    a[0] = nowhere;\n}\n")
-    with pytest.raises(DeviceError, match="nowhere") as caught:
+    with pytest.raises(DeviceError, match="nowhere") as error:
         build(device, "broken.cl", {"COUNT": 1, "FLAG": True, "NONE": None, "NO": False})
-    assert "\n" not in str(caught.value)
-    assert "kernels/broken.cl (-cl-std=CL1.2 -D COUNT=1 -D FLAG -cl-denorms-are-zero)" in str(caught.value)
-    assert "nowhere" in caught.value.log
+    assert "\n" not in str(error.value)
+    assert "kernels/broken.cl (-cl-std=CL1.2 -D COUNT=1 -D FLAG -cl-denorms-are-zero)" in str(error.value)
+    assert "nowhere" in error.value.log
 
 
 # Processes
@@ -126,13 +126,13 @@ def test_a_kernel_that_does_not_build_shows_its_line(device, kernels):
 
 def forked(action):
     """What ``action`` returns or raises in a fork of this process."""
-    said = multiprocessing.get_context("fork").SimpleQueue()
+    queue = multiprocessing.get_context("fork").SimpleQueue()
 
     def call():
         try:
-            said.put(str(action()))
+            queue.put(str(action()))
         except BaseException as error:
-            said.put(f"{type(error).__name__}: {error}")
+            queue.put(f"{type(error).__name__}: {error}")
 
     child = multiprocessing.get_context("fork").Process(target=call)
     child.start()
@@ -140,7 +140,7 @@ def forked(action):
     hangs = child.is_alive()
     child.kill()
     assert not hangs
-    return said.get()
+    return queue.get()
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
@@ -154,9 +154,9 @@ def test_a_fork_is_refused(device, kernels, use):
         "build": lambda: build(device, "demo.cl", {"THREE": 3}),
         "open": open_device,
     }
-    said = forked(actions[use])
-    assert said.startswith(f"DeviceError: OpenCL was opened in process {os.getpid()}, this is ")
-    assert "does not survive a fork; use multiprocessing's spawn" in said
+    words = forked(actions[use])
+    assert words.startswith(f"DeviceError: OpenCL was opened in process {os.getpid()}, this is ")
+    assert "does not survive a fork; use multiprocessing's spawn" in words
     run_three(device)
 
 

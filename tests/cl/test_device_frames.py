@@ -20,8 +20,8 @@ def test_frames_may_lie_here_and_there(device, there):
     mixed = [replace(frame, gbuffer=other.gbuffer, color=other.color) for frame, other in zip(frames, theirs, strict=True)]
     image, valid = Stream(WEIGHTS, device)(*calls_of(frames)[6])
     out = cla.empty(device.queue, image.shape, np.float32) if there else np.empty_like(image)
-    made, mask = Stream(WEIGHTS, device)(*calls_of(mixed)[6], out)
-    assert made is out
+    result, mask = Stream(WEIGHTS, device)(*calls_of(mixed)[6], out)
+    assert result is out
     assert_same((out.get(), mask.get().astype(bool)) if there else (out, mask), (image, valid))
 
 
@@ -41,9 +41,9 @@ def wrong(device, name):
 def test_errors_name_the_plane(device, name):
     frames = film(["nothing"] * 5)
     frames[-1] = replace(frames[-1], stencil=wrong(device, name))
-    with pytest.raises(ArrayError, match="stencil: expected") as told:
+    with pytest.raises(ArrayError, match="stencil: expected") as error:
         Stream(WEIGHTS, device)(*calls_of(frames)[-1])
-    assert "\n" not in str(told.value)
+    assert "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize(("skip", "there"), [("off", True), ("exact", False), ("exact", True)])
@@ -53,11 +53,11 @@ def test_what_is_not_finite_is_named_and_leaves_nothing(device, skip, there):
     broken.nov[3, 4] = np.nan
     stream, fresh = Stream(WEIGHTS, device, skip=skip), Stream(WEIGHTS, device, skip="off")
     stream.control.frames_unlooked = 100  # nobody waits for what is found on arrival
-    shown = [on(device, frame) for frame in (*frames, broken)] if there else [*frames, broken]
-    stream(shown[:7][-6:], plan(frames[1:7]).steps)
+    planes = [on(device, frame) for frame in (*frames, broken)] if there else [*frames, broken]
+    stream(planes[:7][-6:], plan(frames[1:7]).steps)
     with pytest.raises(ArrayError, match="nov:"):
-        stream([*shown[2:7], shown[-1]], plan(frames[2:8]).steps)
-    image, _ = stream(shown[2:8], plan(frames[2:8]).steps)
+        stream([*planes[2:7], planes[-1]], plan(frames[2:8]).steps)
+    image, _ = stream(planes[2:8], plan(frames[2:8]).steps)
     want, _ = fresh(frames[2:8], plan(frames[2:8]).steps)
     np.testing.assert_array_equal(image.get() if there else image, want)
 

@@ -32,16 +32,16 @@ STEPS = [(0, 2, 4), (1, 3, 5), (0, 0, 0), (1, 1, 1), (0, 2, 2), (1, 3, 3)]
         ("half", Weights(WEIGHTS, "detail")),
     ],
 )
-def made(request, device):
+def frame_and_weights(request, device):
     precision, weights = request.param
     return Frame(weights, device, precision), weights
 
 
 @settings(max_examples=10, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data(), size=sizes(24), seed=SEEDS, steps=st.sampled_from(STEPS))
-def test_the_frame_is_the_references(made, data, size, seed, steps):
+def test_the_frame_is_the_references(frame_and_weights, data, size, seed, steps):
     """The holes bit for bit, the image within the network's bound; frames that the weights do not read are not looked at."""
-    (ours, weights), chain = made, [data.draw(motions(size)) for _ in range(max(steps))]
+    (ours, weights), chain = frame_and_weights, [data.draw(motions(size)) for _ in range(max(steps))]
     moving = np.stack(chain) if chain else np.zeros((0, *size, 2))
     inputs = frame_inputs(size, seed, steps, motions=moving, **uneven(size, seed))
     want, want_valid = frame(inputs, weights)
@@ -56,10 +56,10 @@ def test_the_frame_is_the_references(made, data, size, seed, steps):
 
 def test_without_a_residual_it_is_the_references_bits(device):
     """The `bilinear` weights: warping, holes and upsampling alone, which are exact; one frame after another in the same buffers."""
-    size, made = (13, 21), Frame(zeros(), device)
+    size, engine = (13, 21), Frame(zeros(), device)
     for seed, steps in enumerate(((1, 3, 5), (2, 3, 5), (1, 1, 1), (0, 2, 4), (1, 3, 5))):
         inputs = frame_inputs(size, seed, steps, **uneven(size, seed))
-        image, valid = made(**vars(inputs))
+        image, valid = engine(**vars(inputs))
         want, want_valid = frame(inputs, zeros())
         np.testing.assert_array_equal(image, want)
         np.testing.assert_array_equal(valid, want_valid)
@@ -74,8 +74,8 @@ def test_older_frames_are_checked_where_they_are_read(device, on_device):
 
     def call(weights, colors):
         arrays = inputs | {"colors": colors}
-        shown = {n: cla.to_device(device.queue, a) if on_device and n != "steps" else a for n, a in arrays.items()}
-        return Frame(weights, device)(**shown)
+        arrays_there = {n: cla.to_device(device.queue, a) if on_device and n != "steps" else a for n, a in arrays.items()}
+        return Frame(weights, device)(**arrays_there)
 
     image, _ = call(UNREAD, nan)
     assert np.isfinite(image.get() if on_device else image).all()

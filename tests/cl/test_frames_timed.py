@@ -11,8 +11,8 @@ def test_frames_in_sequence_end_with_that_of_the_inputs(opened):
     inputs = frame_inputs(16, 24)
     want = truth(inputs, WEIGHTS)
     for name in ("cl-stream", "cl-stream-ahead"):
-        made = contender(name, setup(16, 24))
-        made.prepare(inputs)
+        engine = contender(name, setup(16, 24))
+        engine.prepare(inputs)
         for _ in range(2):
-            made.run()
-            assert np.abs(made.image() - want).max() < 1e-3
+            engine.run()
+            assert np.abs(engine.image() - want).max() < 1e-3

@@ -102,10 +102,10 @@ def test_a_splat_of_many_ties_is_the_same_every_time(stages):
 @given(inputs=drawn.reshade_inputs())
 def test_reshade(stages, inputs):
     """The stage alone; a frame runs it with the others (test_prepare)."""
-    given = {name: without_tiny(a).astype(np.float32) if a.dtype == np.float64 else a for name, a in inputs.items()}
+    planes = {name: without_tiny(a).astype(np.float32) if a.dtype == np.float64 else a for name, a in inputs.items()}
     with np.errstate(invalid="ignore", over="ignore"):
-        want = reshade(**given)
-    assert_same(stages.run_stage("reshade", given)["reshade"], want)
+        want = reshade(**planes)
+    assert_same(stages.run_stage("reshade", planes)["reshade"], want)
 
 
 STEPS = ((1, 3, 5), (0, 2, 4), (1, 3, 3), (1, 1, 1), (0, 2, 2), (0, 0, 0), (2, 3, 5))
@@ -286,7 +286,7 @@ def test_prepare_sees_what_is_not_finite(device, steps):
             values = 1 if array.shape[-1] == 21 else array.shape[-1]
             lasts = range((5 * 21 + 16) * values - 1, array.size, 17 * 21 * values)  # of eight pixels, in each plane
             for place in (0, array.size - 1, *lasts, *random.integers(array.size, size=2)):
-                held, array.flat[place] = array.flat[place], random.choice([np.nan, np.inf, -np.inf])
+                old, array.flat[place] = array.flat[place], random.choice([np.nan, np.inf, -np.inf])
                 assert bad() == name, (name, np.unravel_index(place, array.shape))
-                array.flat[place] = held
+                array.flat[place] = old
         assert bad() is None

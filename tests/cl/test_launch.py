@@ -114,10 +114,10 @@ def test_a_driver_need_not_know_the_names(processor, kernels, buffers, monkeypat
         monkeypatch.setenv("XDG_CACHE_HOME", str(kernels / "cache"))
     (kernels / "scale.cl").write_text(SCALE.replace("ARGUMENTS", ORDERS[0]))
     for device in (processor, anew(processor)):
-        held = {name: cl.Buffer(device.context, cl.mem_flags.READ_WRITE, 16) for name in buffers}
-        cl.enqueue_copy(device.queue, held["in"], np.arange(4, dtype=np.float32))
-        kernel = Kernel(program.build(device, "scale.cl"), "scale", {**held, "first": 0, "by": 2, "count": 0})
-        assert scaled(device, kernel, held["out"]) == [0, 2, 4, 6]
+        values = {name: cl.Buffer(device.context, cl.mem_flags.READ_WRITE, 16) for name in buffers}
+        cl.enqueue_copy(device.queue, values["in"], np.arange(4, dtype=np.float32))
+        kernel = Kernel(program.build(device, "scale.cl"), "scale", {**values, "first": 0, "by": 2, "count": 0})
+        assert scaled(device, kernel, values["out"]) == [0, 2, 4, 6]
     assert len(list(kernels.glob("cache/stss/binaries/*"))) == stored
 
 
@@ -135,8 +135,8 @@ def test_names_are_those_of_the_compiler(processor, file, options):
     """Of the files whose arguments stand in groups or depend on options; numbers and structs have the same type."""
     built = program.build(processor, file, options, "-cl-kernel-arg-info -cl-opt-disable").built
     for kernel in built.all_kernels():
-        asked = cl.kernel_arg_info.NAME, cl.kernel_arg_info.TYPE_NAME
-        compiled = [[kernel.get_arg_info(i, what).strip("\0") for what in asked] for i in range(kernel.num_args)]
+        queries = cl.kernel_arg_info.NAME, cl.kernel_arg_info.TYPE_NAME
+        compiled = [[kernel.get_arg_info(i, what).strip("\0") for what in queries] for i in range(kernel.num_args)]
         read = signatures.arguments(program.source(file), kernel.function_name, options.keys())
         assert [name for name, _ in read] == [name for name, _ in compiled]
         for (_, kind), (_, type_name) in zip(read, compiled, strict=True):

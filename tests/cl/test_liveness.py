@@ -12,14 +12,14 @@ from stss_ref.weights import BY_NAME, LAYERS, Weights, random
 @pytest.mark.parametrize("left", ["", "conv_feature.weight", "conv_mask.0.weight"])
 def test_weights_read_the_history_if_a_kernel_of_its_last_layer_is_not_zero(left: str):
     """And what is said is so: other histories, the same feature or another."""
-    made = dict(random(2))
+    tensors = dict(random(2))
     for name in ("conv_feature.weight", "conv_mask.0.weight"):
-        made[f"lowlevelGated.{name}"] = np.zeros_like(made[f"lowlevelGated.{name}"])
+        tensors[f"lowlevelGated.{name}"] = np.zeros_like(tensors[f"lowlevelGated.{name}"])
     if left:
-        made[f"lowlevelGated.{left}"][0, :, 1, 1] = 1e-2
-    assert find_live(made).reads_history == bool(left)
+        tensors[f"lowlevelGated.{left}"][0, :, 1, 1] = 1e-2
+    assert find_live(tensors).reads_history == bool(left)
     rng = np.random.default_rng(0)
-    first, second = (history_embedding(rng.random((3, 16, 16, 4), np.float32), made) for _ in range(2))
+    first, second = (history_embedding(rng.random((3, 16, 16, 4), np.float32), tensors) for _ in range(2))
     assert np.array_equal(first, second) == (not left)
 
 
@@ -36,33 +36,33 @@ def test_what_the_image_needs():
             None,
         ),
     ):
-        made = find_live(
+        live = find_live(
             {n: w * (w.ndim < 4 or n.split(".conv_")[0].removesuffix(".weight") not in empty) for n, w in weights.items()}
         )
-        assert BY_NAME.keys() - made.layers.keys() == never
-        assert once is None or made.once == once
+        assert BY_NAME.keys() - live.layers.keys() == never
+        assert once is None or live.once == once
 
 
 def test_groups_of_units_are_left_out():
     """That nobody reads, or that are 0; with what only they read, and not where one unit of a group is needed."""
-    made, units = {n: w.copy() for n, w in random(2).items()}, slice(16, 48)
+    weights, units = {n: w.copy() for n, w in random(2).items()}, slice(16, 48)
     for name in ("weight", "bias"):
-        made[f"up1.conv.double_conv.0.{name}"][units] *= -(name == "bias") * np.sign(
-            made[f"up1.conv.double_conv.0.{name}"][units]
+        weights[f"up1.conv.double_conv.0.{name}"][units] *= -(name == "bias") * np.sign(
+            weights[f"up1.conv.double_conv.0.{name}"][units]
         )
-    made["up1.conv.double_conv.0.weight"][:, 96:112] = 0
-    made["latentEncoder.2.weight"][:, 1:16] = 0
-    layers, _, tensors = find_live(made)
+    weights["up1.conv.double_conv.0.weight"][:, 96:112] = 0
+    weights["latentEncoder.2.weight"][:, 1:16] = 0
+    layers, _, tensors = find_live(weights)
     assert {n: layer.outputs for n, layer in layers.items() if layer.outputs != BY_NAME[n].outputs} == {
         "up1.conv.double_conv.0": 32, "lowlevelGated": 16,
     }  # fmt: skip
     assert tensors["lowlevelGated.conv_mask.0.weight"].shape == (1, 96, 3, 3)
     np.testing.assert_array_equal(
-        tensors["up1.conv.double_conv.2.weight"], np.delete(made["up1.conv.double_conv.2.weight"], units, axis=1)
+        tensors["up1.conv.double_conv.2.weight"], np.delete(weights["up1.conv.double_conv.2.weight"], units, axis=1)
     )
-    made["up1.conv.double_conv.0.bias"][20] = 1
-    made["latentEncoder.2.weight"][:, 0] = 0
-    layers = find_live(made).layers
+    weights["up1.conv.double_conv.0.bias"][20] = 1
+    weights["latentEncoder.2.weight"][:, 0] = 0
+    layers = find_live(weights).layers
     assert [layers[n].outputs for n in ("up1.conv.double_conv.0", "latentEncoder.0")] == [48, 48]
 
 

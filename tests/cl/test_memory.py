@@ -67,16 +67,16 @@ def simulated(tmp_path, monkeypatch):
                     cl.enqueue_copy(device.queue, self, np.full(self.size, value, np.uint8))
 
         monkeypatch.setattr(cl, "Buffer", Filled)
-        made = [np.ascontiguousarray(array).tobytes() for array in case(device)]
-        assert made
-        return made, [report for report in REPORT.split(log.read_text()) if report.strip() and not is_harmless(report)]
+        outputs = [np.ascontiguousarray(array).tobytes() for array in case(device)]
+        assert outputs
+        return outputs, [report for report in REPORT.split(log.read_text()) if report.strip() and not is_harmless(report)]
 
     def simulate(case, device_class="cpu"):
-        made, reports = once(case, device_class, 0)
+        outputs, reports = once(case, device_class, 0)
         monkeypatch.setenv("OCLGRIND_BUILD_OPTIONS", "-ftrivial-auto-var-init=pattern")  # of clang: NaN or 0xaa
         again, more = once(case, device_class, 255)
         monkeypatch.delenv("OCLGRIND_BUILD_OPTIONS")
-        return reports + more + ["other bits"] * (again != made), ran
+        return reports + more + ["other bits"] * (again != outputs), ran
 
     return simulate
 
@@ -96,8 +96,8 @@ def matrix(device):
         direct, gate = (random.normal(size=(3, 3, 16, n)).astype(np.float32) for n in (24, 1))
         packed = Packed(direct, gate, np.ones(24, np.float32), 0.5, 16)
         inputs = [padded(device, stride * size[0], stride * size[1], 8, dtype) for _ in range(2)]
-        for held in inputs:
-            write(device, held, random.random((held.height, held.width, 8), np.float32))
+        for buffer in inputs:
+            write(device, buffer, random.random((buffer.height, buffer.width, 8), np.float32))
         out = padded(device, *size, 24, dtype)
         with trial(built_in_rows(BUILT_IN).classes["nvidia"]), matrix_units.trial(True):
             conv(device, ConvSpec("test", "layer", packed, stride), *inputs, out).enqueue(device.queue)
@@ -108,11 +108,11 @@ def stream(precision):
     """Two extrapolated frames of which something moves in the second, which is computed in part; planes come as half."""
 
     def case(device):
-        frames = [halve(made) for made in film(11 * ["nothing"], (5, 18))]
+        frames = [halve(frame) for frame in film(11 * ["nothing"], (5, 18))]
         frames[11].motion[2:4, 4:7], frames[11].stencil[2:4, 4:7] = 1.25, 1
-        made = Stream(WEIGHTS, device, precision)
-        images = [made(*call)[0] for call in calls_of(frames)[-3::2]]
-        assert made.cost.network == "changed"
+        frame = Stream(WEIGHTS, device, precision)
+        images = [frame(*call)[0] for call in calls_of(frames)[-3::2]]
+        assert frame.cost.network == "changed"
         return images
 
     return case
@@ -163,8 +163,8 @@ CASES = [
 
 def test_memory(simulated):
     for number, (case, device_class) in enumerate(CASES):
-        found, ran = simulated(case, device_class)
-        assert not found, f"case {number}: {len(found)} reports, the first: {found[0]}"
+        outputs, ran = simulated(case, device_class)
+        assert not outputs, f"case {number}: {len(outputs)} reports, the first: {outputs[0]}"
     names = re.compile(r"^(?:kernel[^;{]*?)?void (\w+)\(", re.MULTILINE)
     assert ran >= {n for path in KERNELS.glob("*.cl") if path.name != "selftest.cl" for n in names.findall(path.read_text())}
 
@@ -175,10 +175,10 @@ def test_a_fault_is_seen(simulated, body):
 
     def case(device):
         text = f"kernel void fault(global const float *in, global float *out) {{ {body} }}"
-        given, out = (cl.Buffer(device.context, cl.mem_flags.READ_WRITE, 256) for _ in range(2))
-        cl.Kernel(cl.Program(device.context, text).build(), "fault")(device.queue, (4,), None, given, out)
+        source, out = (cl.Buffer(device.context, cl.mem_flags.READ_WRITE, 256) for _ in range(2))
+        cl.Kernel(cl.Program(device.context, text).build(), "fault")(device.queue, (4,), None, source, out)
         cl.enqueue_copy(device.queue, got := np.empty(4, np.float32), out)
         return [got]
 
-    found, _ = simulated(case)
-    assert any(report.startswith(FAULTS[body]) for report in found) if FAULTS[body] else not found
+    outputs, _ = simulated(case)
+    assert any(report.startswith(FAULTS[body]) for report in outputs) if FAULTS[body] else not outputs

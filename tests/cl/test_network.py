@@ -62,11 +62,11 @@ def transforms(side, stride=1):
 def tensors(random, name, inputs, outputs, gated):
     """A layer's tensors under the checkpoint's names, scaled so that activations stay of order 1."""
     branches = {".conv_feature": outputs, ".conv_mask.0": 1} if gated else {"": outputs}
-    made = {}
+    arrays = {}
     for branch, channels in branches.items():
-        made[f"{name}{branch}.weight"] = (random.normal(size=(channels, inputs, 3, 3)) / np.sqrt(9 * inputs)).astype(np.float32)
-        made[f"{name}{branch}.bias"] = random.normal(size=channels).astype(np.float32)
-    return made
+        arrays[f"{name}{branch}.weight"] = (random.normal(size=(channels, inputs, 3, 3)) / np.sqrt(9 * inputs)).astype(np.float32)
+        arrays[f"{name}{branch}.bias"] = random.normal(size=channels).astype(np.float32)
+    return arrays
 
 
 def winograd_scale(x, weight, side, stride=1):
@@ -137,9 +137,9 @@ def test_all_convolutions_are_the_references(processor, size, channels, gated, r
         write(processor, buffer, x[..., channel : channel + buffer.channels])
     for side in (0, 2, 4) if stride == 1 else (0, 2):
         with trial(SMALL if vector == "small" else VECTORS[vector]):
-            made = conv(processor, ConvSpec("test", "layer", packed, stride, relu, side), inputs[0], (*inputs, None)[1], out)
-        made.enqueue(processor.queue)
-        by_winograd = side if made.source.file == "winograd.cl" else 0
+            launch = conv(processor, ConvSpec("test", "layer", packed, stride, relu, side), inputs[0], (*inputs, None)[1], out)
+        launch.enqueue(processor.queue)
+        by_winograd = side if launch.source.file == "winograd.cl" else 0
         want, allowed = bounds(x, weights, stride, by_winograd, gated=gated)
         want = reference.relu(want) if relu else want
         assert worst(np.abs(read(processor, out) - want), allowed) <= 1, f"tiles of {side}" if side else "direct"
@@ -245,20 +245,20 @@ def test_layers_that_nobody_reads_are_left_out(device, keep):
 
 def without_units(weights, seed):
     """The same with a fifth of all eights of units 0, and a fifth of them read by nobody."""
-    random, made, fates = np.random.default_rng(seed), dict(weights), {}
+    random, tensors, fates = np.random.default_rng(seed), dict(weights), {}
     for layer in LAYERS[:-1]:
         fates[layer.name] = fate = random.integers(5, size=8).repeat(8)[: layer.outputs]
         fates |= {name: np.zeros(SOURCES[name]) for name in layer.reads if name in SOURCES}
         fates["reshaded"] = fates.get("latentEncoder.4")
         columns = np.concatenate([np.tile(fates[read], 3 if read == "convHis3.4" else 1) for read in layer.reads])
         for name, shape in layer.tensors():
-            tensor = np.abs(made[name]) if len(shape) == 1 else made[name].copy()
+            tensor = np.abs(tensors[name]) if len(shape) == 1 else tensors[name].copy()
             if len(shape) == 4:
                 tensor[:, columns == 1] = 0
             if shape[0] > 1:
                 tensor[fate == 0] *= -1.0 if tensor.ndim == 1 and layer.relu else 0.0
-            made[name] = tensor
-    return weights | made
+            tensors[name] = tensor
+    return weights | tensors
 
 
 @example({"convHis1.0"}, 3, False, "float32", 16)
@@ -282,11 +282,11 @@ def test_what_is_left_out_changes_no_bit(processor, unoptimised, names, units, k
 
 def test_weights_that_read_no_history_have_the_references_image(device):
     weights = without(random_weights(3), "lowlevelGated")
-    inputs, made = network_inputs((16, 24), 3), Network(weights, device)
-    image = made(*inputs)
+    inputs, own = network_inputs((16, 24), 3), Network(weights, device)
+    image = own(*inputs)
     assert ratio("network.cl", image, network(*(x.astype(np.float64) for x in inputs), astype(weights, np.float64))) <= 1
     inputs[3][:] = np.nan  # nobody looks
-    np.testing.assert_array_equal(made(*inputs), image)
+    np.testing.assert_array_equal(own(*inputs), image)
 
 
 def test_the_same_bits_every_time(net):
@@ -313,15 +313,15 @@ def test_the_memory_of_a_dropped_image_serves_the_next(net, device):
 
 def with_tiny(weights):
     """The same with numbers below ``TINY`` at some places, subnormal ones too, and windows whose taps cancel in Winograd's transforms."""
-    random, made = np.random.default_rng(0), {}
+    random, tensors = np.random.default_rng(0), {}
     for name, tensor in weights.items():
-        made[name] = np.where(random.random(tensor.shape) < 0.3, tensor * np.float32(1e-37), tensor)
+        tensors[name] = np.where(random.random(tensor.shape) < 0.3, tensor * np.float32(1e-37), tensor)
         if tensor.shape[-1:] == (3,):
-            made[name][::5, ::7] = 0
-            made[name][::5, ::7, 0] = np.float32(2.0**-90) * np.array(
+            tensors[name][::5, ::7] = 0
+            tensors[name][::5, ::7, 0] = np.float32(2.0**-90) * np.array(
                 [-np.nextafter(np.float32(POINTS[4][0] ** 2), 1), 0, 1], np.float32
             )
-    return weights | made
+    return weights | tensors
 
 
 @pytest.mark.parametrize("precision", ["float32", "float32-direct"])
@@ -363,12 +363,12 @@ def test_every_half_is_widened_and_comes_back(device):
     program = cl.Program(device.context, text).build(f"-cl-std=CL1.2 -D STORED=HALF {FLUSH}")
     half = np.arange(65536, dtype=np.uint16)
     half = half[np.isfinite(half.view(np.float16))]
-    given, wide, back, each = (cl.Buffer(device.context, cl.mem_flags.READ_WRITE, half.size * n) for n in (2, 4, 2, 4))
-    cl.enqueue_copy(device.queue, given, half)
-    cl.Kernel(program, "both")(device.queue, (half.size // 8,), None, given, wide, back, each)
-    found, again = np.empty(half.size, np.float32), np.empty_like(half)
+    halves, wide, back, each = (cl.Buffer(device.context, cl.mem_flags.READ_WRITE, half.size * n) for n in (2, 4, 2, 4))
+    cl.enqueue_copy(device.queue, halves, half)
+    cl.Kernel(program, "both")(device.queue, (half.size // 8,), None, halves, wide, back, each)
+    got, again = np.empty(half.size, np.float32), np.empty_like(half)
     cl.enqueue_copy(device.queue, again, back)
-    for held in (wide, each):
-        cl.enqueue_copy(device.queue, found, held)
-        np.testing.assert_array_equal(found.view(np.uint32), half.view(np.float16).astype(np.float32).view(np.uint32))
+    for target in (wide, each):
+        cl.enqueue_copy(device.queue, got, target)
+        np.testing.assert_array_equal(got.view(np.uint32), half.view(np.float16).astype(np.float32).view(np.uint32))
     np.testing.assert_array_equal(again, half)

@@ -43,7 +43,7 @@ def here(pair):
 
 
 @contextmanager
-def held(*queues):
+def hold(*queues):
     """What is put into these queues now does not begin before the end."""
     event = cl.UserEvent(queues[0].context)
     for queue in queues:
@@ -58,7 +58,7 @@ def held(*queues):
 
 @contextmanager
 def held_for_a_moment(*queues):
-    with held(*queues) as event:
+    with hold(*queues) as event:
         timer = Timer(MOMENT, event.set_status, [cl.command_execution_status.COMPLETE])
         timer.start()
         yield event
@@ -74,19 +74,19 @@ def test_frames_one_ahead_have_the_bits_of_calls(device, skip, there):
     frames = film()
     want = right(device, calls_of(frames))
     stream, plain = Stream(WEIGHTS, device, skip=skip), Stream(WEIGHTS, device, skip=skip)
-    shown = [on(device, frame) for frame in frames] if there else frames
-    made, copies, told = [], [], []
-    for pair, call in zip(stream.frames(iter(calls_of(shown))), calls_of(shown), strict=True):
-        made.append(pair)
+    planes = [on(device, frame) for frame in frames] if there else frames
+    outputs, copies, messages = [], [], []
+    for pair, call in zip(stream.frames(iter(calls_of(planes))), calls_of(planes), strict=True):
+        outputs.append(pair)
         copies.append(here(pair))
-        told.append(stream.cost)
+        messages.append(stream.cost)
         plain(*call)
-        assert told[-1] == plain.cost
-    for pair, copy, expected in zip(made, copies, want, strict=True):
+        assert messages[-1] == plain.cost
+    for pair, copy, expected in zip(outputs, copies, want, strict=True):
         assert_same(copy, expected)
         assert_same(here(pair), copy)
         assert isinstance(pair[0], cla.Array) == there
-    assert skip == "off" or {"none", "changed", "whole"} <= {report.network for report in told}
+    assert skip == "off" or {"none", "changed", "whole"} <= {report.network for report in messages}
 
 
 @settings(max_examples=10)
@@ -95,29 +95,29 @@ def test_whatever_comes_in_whatever_order(gpu, calls):
     """Windows out of turn, repeated, cut short; images are held or not."""
     want = right(gpu, calls)
     for skip in SKIPS:
-        stream, kept = Stream(WEIGHTS, gpu, skip=skip), []
+        stream, images = Stream(WEIGHTS, gpu, skip=skip), []
         for i, (image, valid) in enumerate(stream.frames(calls)):
             assert_same((image, valid), want[i])
-            kept += [(i, image, valid)] if i % 3 else []
-        for i, image, valid in kept:
+            images += [(i, image, valid)] if i % 3 else []
+        for i, image, valid in images:
             assert_same((image, valid), want[i])
 
 
 def test_calls_are_taken_one_ahead(gpu):
     """And no further: a caller that makes frames as it goes needs memory for one more."""
-    taken, calls = [], calls_of(film()[:5])
-    for i, _ in enumerate(Stream(WEIGHTS, gpu).frames((taken.append(0), call)[1] for call in calls)):
-        assert len(taken) == min(i + 2, 5)
+    frames_taken, calls = [], calls_of(film()[:5])
+    for i, _ in enumerate(Stream(WEIGHTS, gpu).frames((frames_taken.append(0), call)[1] for call in calls)):
+        assert len(frames_taken) == min(i + 2, 5)
 
 
 def test_calls_may_come_between(gpu):
     """Of frames that the iterator has begun, and of others."""
     calls = calls_of(film())
     stream, want = Stream(WEIGHTS, gpu), right(gpu, calls)
-    for i, made in enumerate(stream.frames(calls)):
+    for i, output in enumerate(stream.frames(calls)):
         between = (i * 3) % len(calls)
         assert_same(stream(*calls[between]), want[between])
-        assert_same(made, want[i])
+        assert_same(output, want[i])
 
 
 # Errors, and leaving early
@@ -144,12 +144,12 @@ def test_an_error_comes_in_its_turn(gpu, how, looking):
         yield from calls[:6] if how == "caller" else calls_of(bad)
         raise ArrayError("nov: told by the caller")
 
-    made = []
+    outputs = []
     with pytest.raises(ArrayError, match="position: expected" if how == "shape" else "nov:"):
-        made.extend(here(pair) for pair in stream.frames(given_calls()))
-    assert len(made) == 6
-    made += [here(pair) for pair in stream.frames(calls[6:])]
-    for got, expected in zip(made, want, strict=True):
+        outputs.extend(here(pair) for pair in stream.frames(given_calls()))
+    assert len(outputs) == 6
+    outputs += [here(pair) for pair in stream.frames(calls[6:])]
+    for got, expected in zip(outputs, want, strict=True):
         assert_same(got, expected)
 
 
@@ -169,7 +169,7 @@ def test_leaving_early_waits_for_what_was_begun(gpu):
 # What waits for what
 
 
-def begun(stream, calls):
+def begin_all(stream, calls):
     """The first ones of a stream that compares nothing are computed, so that it has its memory and its kernels."""
     stream.control.frames_unlooked = 100
     for call in calls:
@@ -181,12 +181,12 @@ def stopped_before(monkeypatch, device, name):
     """An event that the queue waits for, from now on, before the first kernel whose name begins so."""
     stop, waiting = cl.UserEvent(device.context), []
 
-    def seen(queue, kernel, group):
+    def note(queue, kernel, group):
         if not waiting and kernel.function_name.startswith(name):
             waiting.append(cl.enqueue_barrier(queue, wait_for=[stop]))
 
     device.queue.finish()
-    watch_launches(monkeypatch, seen)
+    watch_launches(monkeypatch, note)
     return stop
 
 
@@ -194,14 +194,14 @@ def stopped_before(monkeypatch, device, name):
 def test_frames_on_the_device_do_not_wait_for_the_network(gpu, monkeypatch, skip):
     """The call is over while the network stands still."""
     calls = calls_of([on(gpu, frame) for frame in film(["moving"] * 7)])
-    stream, want = begun(Stream(WEIGHTS, gpu, skip=skip), calls[:-1]), here(right(gpu, calls[-1:])[0])
+    stream, want = begin_all(Stream(WEIGHTS, gpu, skip=skip), calls[:-1]), here(right(gpu, calls[-1:])[0])
     stop = stopped_before(monkeypatch, gpu, "conv")
     with ThreadPoolExecutor(1) as caller:
         try:
-            made = caller.submit(stream, *calls[-1]).result(timeout=LONG)
+            output = caller.submit(stream, *calls[-1]).result(timeout=LONG)
         finally:
             stop.set_status(cl.command_execution_status.COMPLETE)
-    assert_same(here(made), want)
+    assert_same(here(output), want)
 
 
 @pytest.mark.parametrize("skip", SKIPS)
@@ -210,7 +210,7 @@ def test_they_wait_for_what_is_found_on_arrival(gpu, monkeypatch, skip):
     frames = film(["moving"] * 7)
     frames[-1].nov[3, 4] = np.inf
     calls = calls_of([on(gpu, frame) for frame in frames])
-    stream = begun(Stream(WEIGHTS, gpu, skip=skip), calls[:-1])
+    stream = begin_all(Stream(WEIGHTS, gpu, skip=skip), calls[:-1])
     stop = stopped_before(monkeypatch, gpu, "arrive")
     Timer(MOMENT, stop.set_status, [cl.command_execution_status.COMPLETE]).start()
     with pytest.raises(ArrayError, match="nov:"):
@@ -222,7 +222,7 @@ def test_a_frame_arrives_while_the_one_before_it_is_computed_and_no_earlier(gpu,
     """The rule: planes of n + 1 arrive while the launches of n stand still; those of n + 2 wait for them, if memory serves again."""
     frames = film(["moving"] * 10)
     calls, want = calls_of(frames), right(gpu, calls_of(frames))
-    stream = begun(Stream(WEIGHTS, gpu, skip=skip), calls[:last])
+    stream = begin_all(Stream(WEIGHTS, gpu, skip=skip), calls[:last])
     stop = stopped_before(monkeypatch, gpu, "conv")
     with ThreadPoolExecutor(1) as caller:
         try:
@@ -237,8 +237,8 @@ def test_a_frame_arrives_while_the_one_before_it_is_computed_and_no_earlier(gpu,
                 third.result(timeout=LONG)
         finally:
             stop.set_status(cl.command_execution_status.COMPLETE)
-        made = [first, second] + ([third.result(timeout=LONG)] if third is not None else [])
-    for i, each in enumerate(made, start=last):
+        outputs = [first, second] + ([third.result(timeout=LONG)] if third is not None else [])
+    for i, each in enumerate(outputs, start=last):
         assert_same(each.finish(), want[i])
 
 
@@ -248,10 +248,10 @@ def test_a_frame_is_whole_however_late_a_queue_is(gpu, looking, queue):
     """Launches wait for what arrives, the download for them, and the caller for the download."""
     frames = film(["moving"] * 8)
     calls, want = calls_of(frames), right(gpu, calls_of(frames))
-    stream = begun(Stream(WEIGHTS, gpu), calls[:7])
+    stream = begin_all(Stream(WEIGHTS, gpu), calls[:7])
     stream.control.frames_unlooked = 0 if looking else 100
-    made = staging(gpu)
-    with held_for_a_moment({"uploads": made.uploads, "downloads": made.downloads, "launches": gpu.queue}[queue]):
+    pool = staging(gpu)
+    with held_for_a_moment({"uploads": pool.uploads, "downloads": pool.downloads, "launches": gpu.queue}[queue]):
         for i in (7, 8):
             assert_same(here(stream(*calls[i])), want[i])
 
@@ -264,11 +264,11 @@ def test_nothing_is_written_where_something_still_leaves(gpu, all_rendered):
         frames = [replace(frame, color=frame.gbuffer[..., :3].copy()) for frame in frames]
     calls, want = calls_of(frames), right(gpu, calls_of(frames))
     assert all_rendered or (want[7][1] != want[9][1]).any()
-    stream = begun(Stream(WEIGHTS, gpu), calls[:7])
-    with held(staging(gpu).downloads):
-        made = [stream.begin(*call) for call in calls[7:10]]
+    stream = begin_all(Stream(WEIGHTS, gpu), calls[:7])
+    with hold(staging(gpu).downloads):
+        frames_begun = [stream.begin(*call) for call in calls[7:10]]
         gpu.queue.finish()
-    for got, expected in zip(made, want[7:10], strict=True):
+    for got, expected in zip(frames_begun, want[7:10], strict=True):
         assert_same(got.finish(), expected)
 
 
@@ -276,8 +276,8 @@ def test_nothing_is_written_where_something_still_leaves(gpu, all_rendered):
 def test_what_an_engine_enqueues_is_waited_for(gpu, looking):
     """It writes its planes in the queue of the launches, and gives no events."""
     frames = film(["moving"] * 7)
-    theirs, wanted = [on(gpu, frame) for frame in frames], right(gpu, calls_of(frames)[-1:])[0]
-    stream = begun(Stream(WEIGHTS, gpu), calls_of(theirs)[:-1])
+    theirs, want = [on(gpu, frame) for frame in frames], right(gpu, calls_of(frames)[-1:])[0]
+    stream = begin_all(Stream(WEIGHTS, gpu), calls_of(theirs)[:-1])
     stream.control.frames_unlooked = 0 if looking else 100
     late = theirs[-1].nov
     right_nov = late.copy()
@@ -285,5 +285,5 @@ def test_what_an_engine_enqueues_is_waited_for(gpu, looking):
     gpu.queue.finish()
     with held_for_a_moment(gpu.queue):
         cl.enqueue_copy(gpu.queue, late.data, right_nov.data)
-        made = here(stream(*calls_of(theirs)[-1]))
-    assert_same(made, wanted)
+        got = here(stream(*calls_of(theirs)[-1]))
+    assert_same(got, want)

@@ -16,9 +16,9 @@ VERSION = "OpenCL 3.0 PoCL HSTR: pthread-x86_64-unknown-linux-gnu-"
 @pytest.fixture
 def machine(monkeypatch):
     """A processor that can do ``flags``, in whose record the name stands at ``place``; gives its handle and what the record then names."""
-    kept = []
+    calls_kept = []
 
-    def made(flags, name="generic", place=640):
+    def make(flags, name="generic", place=640):
         monkeypatch.setattr(pocl_processor, "cpu_flags", lambda: frozenset(flags))
         monkeypatch.setattr(pocl_processor.sys, "platform", "linux")
         monkeypatch.setattr(pocl_processor, "_named", {})
@@ -30,11 +30,11 @@ def machine(monkeypatch):
         )
         record[place // 8], record[3] = ctypes.addressof(own), ctypes.addressof(other)
         record[5] = 8  # a number that is no address
-        kept.append((own, other, record))
+        calls_kept.append((own, other, record))
         handle = SimpleNamespace(version=VERSION + name, int_ptr=ctypes.addressof(record), type=2)
         return handle, lambda: ctypes.string_at(record[place // 8]).decode()
 
-    yield made
+    yield make
     substitute.cache_clear()
 
 

@@ -53,12 +53,12 @@ def pair(request, device):
 def test_what_is_kept_changes_no_bit(pair, calls):
     """Nor an image that somebody holds: the next one may be written over the last only where nobody has that any more."""
     plain, keeping = pair
-    held = []
+    images = []
     for window, steps in calls:
         image, valid = keeping(window, steps)
         assert_same((image, valid), plain(window, steps))
-        held.append(((image, valid), (image.copy(), valid.copy())))
-    for now, then in held:
+        images.append(((image, valid), (image.copy(), valid.copy())))
+    for now, then in images:
         assert_same(now, then)
         assert not any(array.flags.writeable for array in now)
 
@@ -78,13 +78,13 @@ def test_a_frame_in_which_nothing_changed_costs_a_comparison(device):
 @pytest.fixture
 def compiled(monkeypatch):
     """What is compiled from now on: programs, and kernels for a size of group, which PoCL compiles at their first launch."""
-    seen = set()
+    programs = set()
 
     def launched(queue, kernel, group):
-        seen.add((kernel.get_info(cl.kernel_info.PROGRAM).int_ptr, kernel.function_name, group))
+        programs.add((kernel.get_info(cl.kernel_info.PROGRAM).int_ptr, kernel.function_name, group))
 
     watch_launches(monkeypatch, launched)
-    return lambda device: seen | programs_of(device).keys()
+    return lambda device: programs | programs_of(device).keys()
 
 
 def shots(size):
@@ -114,12 +114,12 @@ def test_what_is_expected_is_compiled_before_the_first_frame(device, compiled, s
 
 def test_frames_older_than_the_window_are_let_go(gpu):
     """A frame at 1920 x 1080 out takes 40 MB."""
-    stream, frames, window, seen = Stream(WEIGHTS, gpu), still(12, change="everything"), [], []
+    stream, frames, window, masks = Stream(WEIGHTS, gpu), still(12, change="everything"), [], []
     while frames:
         window = [*window[-5:], frames.pop(0)]
-        seen.append(weakref.ref(window[-1].gbuffer))
+        masks.append(weakref.ref(window[-1].gbuffer))
         stream(window, plan(window).steps)
-    assert [ref() is not None for ref in seen] == 6 * [False] + 6 * [True]
+    assert [ref() is not None for ref in masks] == 6 * [False] + 6 * [True]
 
 
 def test_older_frames_show_detail_in_a_hole_of_the_newest(device):
@@ -219,9 +219,9 @@ def test_an_image_may_be_copied_to_the_callers_array(device):
     stream, plain, frames = Stream(WEIGHTS, device), Stream(WEIGHTS, device, skip="off"), still(9, change="rectangle")
     out = np.empty((32, 48, 3), np.float32)
     for call in calls_of(frames):
-        made, valid = stream(*call, out)
-        assert made is out
-        assert_same((made, valid), plain(*call))
+        image, valid = stream(*call, out)
+        assert image is out
+        assert_same((image, valid), plain(*call))
         out[...] = np.nan
     for wrong in (out[1:], out.astype(np.float64), np.empty((32, 96, 3), np.float32)[:, ::2]):
         with pytest.raises(ArrayError, match="out: expected"):
@@ -229,29 +229,29 @@ def test_an_image_may_be_copied_to_the_callers_array(device):
 
 
 def test_mistakes_name_what_is_wrong(device):
-    frames, made = still(6), Stream(WEIGHTS, device)
+    frames, engine = still(6), Stream(WEIGHTS, device)
     with pytest.raises(ArrayError, match="window: expected the 5 frames that the steps lead to, got 2"):
-        made(frames[:2], (0, 2, 4))
+        engine(frames[:2], (0, 2, 4))
     with pytest.raises(ArrayError, match="window: expected a colour 1, 3, 5 frames back"):
-        made([replace(frame, color=None) for frame in frames], (1, 3, 5))
+        engine([replace(frame, color=None) for frame in frames], (1, 3, 5))
 
 
 def test_work_groups_do_not_follow_the_size(device, monkeypatch):
     """PoCL compiles a kernel anew for every group, so a new size of frames would cost seconds."""
     groups = set()
     watch_launches(monkeypatch, lambda queue, kernel, group: groups.add((kernel.function_name, group)))
-    found = []
+    counts = []
     for size in ((24, 40), (37, 147)):
         frames, stream = still(8, size), Stream(WEIGHTS, device)
         frames[6].gbuffer[3:7, 2:9] += 0.1
         for call in calls_of(frames):
             stream(*call)
         # Those of the packing divide a width of 8, 16, 24 .., so they are one of four.
-        found.append({(name, group) for name, group in groups if not name.startswith("pack")})
+        counts.append({(name, group) for name, group in groups if not name.startswith("pack")})
         groups.clear()
-    assert found[0] == found[1]
-    assert len(found[0]) > 10
-    assert not device.is_cpu or all(group is not None for _, group in found[0])
+    assert counts[0] == counts[1]
+    assert len(counts[0]) > 10
+    assert not device.is_cpu or all(group is not None for _, group in counts[0])
 
 
 LAUNCHES = {("gpu", "SF"): 44, ("gpu", "EF"): 47, ("cpu", "SF"): 62, ("cpu", "EF"): 65}

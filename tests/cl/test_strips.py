@@ -30,7 +30,7 @@ WIDTH = 24
 )
 def test_every_row_is_written_once_and_far_from_a_strips_edge(eighths, cut, steps, overlap):
     height = 8 * eighths
-    shown = height - cut
+    frame_rows = height - cut
     limit = bytes_for(2 * overlap + steps * STEP + height % STEP, height, WIDTH, np.float32)
     try:
         rows = rows_within(height, WIDTH, np.float32, limit, overlap)
@@ -38,14 +38,14 @@ def test_every_row_is_written_once_and_far_from_a_strips_edge(eighths, cut, step
         assert bytes_for(height, height, WIDTH, np.float32) > limit
         return
     assert bytes_for(rows, height, WIDTH, np.float32) <= limit or rows == height
-    written = np.zeros(shown, int)
-    for strip in strips(height, shown, rows, overlap):
-        written[strip.top + strip.first : strip.top + strip.last] += 1
+    counts = np.zeros(frame_rows, int)
+    for strip in strips(height, frame_rows, rows, overlap):
+        counts[strip.top + strip.first : strip.top + strip.last] += 1
         assert strip.top % STEP == 0
         assert 0 <= strip.top <= height - rows
         assert strip.first >= (overlap if strip.top else 0)
         assert rows - strip.last >= overlap or strip.top + rows == height
-    assert (written == 1).all()
+    assert (counts == 1).all()
 
 
 @pytest.mark.parametrize(("winograd", "reach"), [(False, 106), (True, 230)])
@@ -70,13 +70,13 @@ def test_too_small_a_limit_says_what_is_needed():
 @pytest.mark.usefixtures("launched")
 def test_the_limit_counts_what_is_allocated(device, monkeypatch, precision, size, skip):
     """All buffers of a stream but the caller's frames, rounded up: to whole pages, and for weights and small frames further."""
-    made = []
+    ends = []
 
     class Buffer(cl.Buffer):
         def __init__(self, context, flags, size=0, hostbuf=None):
             super().__init__(context, flags, size, hostbuf=hostbuf)
             self.frame = isinstance(hostbuf, np.ndarray) and any(np.shares_memory(hostbuf, array) for array in arrays)
-            made.append(weakref.ref(self))
+            ends.append(weakref.ref(self))
 
     frames = film(8 * ["nothing"], size)
     arrays = [getattr(frame, name) for frame in frames for name in ("motion", "gbuffer", "nov", "stencil", "position")]
@@ -86,7 +86,7 @@ def test_the_limit_counts_what_is_allocated(device, monkeypatch, precision, size
     for call in calls_of(frames):
         stream(*call)
         gc.collect()
-        allocated = sum(buffer.size for buffer in (ref() for ref in made) if buffer is not None and not buffer.frame)
+        allocated = sum(buffer.size for buffer in (ref() for ref in ends) if buffer is not None and not buffer.frame)
         counted = (2 if skip == "exact" else 1) * bytes_for(size[0], *size, dtype_of(precision), keep=skip == "exact")
         assert allocated <= counted
     slack = 2 * (2 * 8 << 20)

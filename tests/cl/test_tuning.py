@@ -145,13 +145,13 @@ def test_what_departs_from_the_plain_kernel_is_refused(device, shape, monkeypatc
         return launch
 
     monkeypatch.setattr(trials, "conv", faulty)
-    found = Trials()
+    timings = Trials()
     fast = [built_in(device).winograd[shape.outputs]] if shape.stride == 1 and built_in(device).winograd else []
-    found.time(device, shape, (32, 64), [short, wrong, good, *fast], 1)
-    assert set(found.times[shape]) == {good, *fast}
-    assert set(found.refused) == {(shape.outputs, short), (shape.outputs, wrong)}
-    assert found.total(short, [shape]) == np.inf
-    assert 0 < found.total(good, [shape]) < np.inf
+    timings.time(device, shape, (32, 64), [short, wrong, good, *fast], 1)
+    assert set(timings.times[shape]) == {good, *fast}
+    assert set(timings.refused) == {(shape.outputs, short), (shape.outputs, wrong)}
+    assert timings.total(short, [shape]) == np.inf
+    assert 0 < timings.total(good, [shape]) < np.inf
 
 
 def timed(monkeypatch, seconds):
@@ -163,12 +163,12 @@ def timed(monkeypatch, seconds):
     monkeypatch.setattr(Trials, "time", time)
 
 
-@pytest.mark.parametrize(("seconds", "taken"), [(0.97, True), (0.985, False)])
-def test_the_built_in_stays_unless_beaten_by_two_per_cent(monkeypatch, seconds, taken):
+@pytest.mark.parametrize(("seconds", "winner"), [(0.97, True), (0.985, False)])
+def test_the_built_in_stays_unless_beaten_by_two_per_cent(monkeypatch, seconds, winner):
     device, quick = fake(), Winograd(12, 4, 3)
     timed(monkeypatch, lambda sizes, _: seconds if sizes == quick else 1.0)
     want = built_in(device)
-    assert tune.tune(device, (8, 8))[0] == (replace(want, winograd={**want.winograd, 24: quick}) if taken else want)
+    assert tune.tune(device, (8, 8))[0] == (replace(want, winograd={**want.winograd, 24: quick}) if winner else want)
 
 
 def test_direct_sizes_may_not_lose_elsewhere(monkeypatch):
@@ -190,9 +190,9 @@ def test_rows_of_pixels_are_taken_where_they_are_faster(monkeypatch, seconds, ro
 
 def run(device, monkeypatch):
     monkeypatch.setattr(tune, "choose", lambda name, tell: device)
-    out, told = (Console(file=io.StringIO(), width=200, force_terminal=terminal) for terminal in (False, True))
-    tune.run(None, (32, 32), console=out, log=told)
-    return out.file.getvalue(), told.file.getvalue()
+    out, log = (Console(file=io.StringIO(), width=200, force_terminal=terminal) for terminal in (False, True))
+    tune.run(None, (32, 32), console=out, log=log)
+    return out.file.getvalue(), log.file.getvalue()
 
 
 def test_the_command_on_a_device(device, monkeypatch):
@@ -200,9 +200,9 @@ def test_the_command_on_a_device(device, monkeypatch):
     monkeypatch.setattr(tune, "SHAPES", [shape_like(n, 1, False) for n in OUTPUTS] + [shape_like(24, 2, True)])
     for kind, of in ((direct_candidates, "direct_candidates"), (winograd_candidates, "winograd_candidates")):
         monkeypatch.setattr(tune, of, lambda device, outputs, kind=kind: kind(device, outputs)[:1])
-    out, told = run(device, monkeypatch)
+    out, log = run(device, monkeypatch)
     assert "winograd 24" in out
-    assert "4/4" in told
+    assert "4/4" in log
     assert (read_tuning(device) is not None) == ("stored: " in out)
 
 
@@ -211,8 +211,8 @@ def test_a_wrong_row_is_replaced(device, monkeypatch):
     path = stored_path(device)
     path.write_text("nonsense")
     timed(monkeypatch, lambda sizes, _: 1.0)
-    out, told = run(device, monkeypatch)
+    out, log = run(device, monkeypatch)
     assert "the built-in row stays" in out
-    assert "removed" in told
-    assert str(path) in told
+    assert "removed" in log
+    assert str(path) in log
     assert tuning_for(device) == built_in(device)

@@ -80,12 +80,12 @@ def main(times):
     """Kill both so often."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        frames, out, parts, kept = folder / "frames", folder / "out", folder / "parts", folder / "kept"
+        frames, out, parts, backup = folder / "frames", folder / "out", folder / "parts", folder / "kept"
         in_a_process(lambda: write_frames(frames))  # here alone, as all else: threads of OpenImageIO would not survive a fork
         in_a_process(lambda: run_frames(frames, folder / "one"))
         for part in range(4):
             numbers = (3 * part, 3 * part + 2)
-            in_a_process(lambda numbers=numbers, part=part: run_frames(frames, kept / str(part), numbers))
+            in_a_process(lambda numbers=numbers, part=part: run_frames(frames, backup / str(part), numbers))
         want = files(folder / "one")
 
         def right():
@@ -101,7 +101,7 @@ def main(times):
                 gather(parts, out, frames)
 
         kill_often("stss run", times, prepare, lambda: run_frames(frames, out), right)
-        kill_often("stss gather", times, lambda: (prepare(), shutil.copytree(kept, parts)), gather_parts, right)
+        kill_often("stss gather", times, lambda: (prepare(), shutil.copytree(backup, parts)), gather_parts, right)
 
 
 if __name__ == "__main__":

@@ -179,20 +179,20 @@ def commands(group=stss_group, *names):
 
 
 PAIRS = [
-    (names, command, read, written)
+    (names, command, read, output)
     for names, command in commands()
     for read in command.params
-    for written in command.params
-    if isinstance(read.type, (ReadPath, ReadName)) and isinstance(written.type, WrittenFile)
+    for output in command.params
+    if isinstance(read.type, (ReadPath, ReadName)) and isinstance(output.type, WrittenFile)
 ]
 
 
 def test_every_command_says_what_it_reads_and_writes():
     """By the kinds of its parameters; what is text names no file."""
     texts = {"device", "cluster", "spec", "shapes"}
-    found = dict(commands())
-    assert len(found) == 17
-    for names, command in found.items():
+    all_commands = dict(commands())
+    assert len(all_commands) == 17
+    for names, command in all_commands.items():
         assert isinstance(command, Subcommand), names
         for parameter in command.params:
             if isinstance(parameter.type, (click.types.StringParamType, click.File, click.Path)):
@@ -200,8 +200,8 @@ def test_every_command_says_what_it_reads_and_writes():
                 assert isinstance(parameter.type, kinds) or parameter.name in texts, (names, parameter.name)
 
 
-@pytest.mark.parametrize(("names", "command", "read", "written"), PAIRS, ids=lambda v: getattr(v, "name", None) or " ".join(v))
-def test_no_command_writes_what_it_reads(tmp_path, names, command, read, written):
+@pytest.mark.parametrize(("names", "command", "read", "output"), PAIRS, ids=lambda v: getattr(v, "name", None) or " ".join(v))
+def test_no_command_writes_what_it_reads(tmp_path, names, command, read, output):
     """Whatever it reads, and whatever link leads there."""
     mine, link, hard, loop = (tmp_path / name for name in ("mine", "link", "hard", "loop"))
     mine.write_bytes(b"mine")
@@ -209,8 +209,8 @@ def test_no_command_writes_what_it_reads(tmp_path, names, command, read, written
     hard.hardlink_to(mine)
     loop.symlink_to(tmp_path)
     for one, other in ((mine, mine), (mine, link), (link, mine), (mine, hard), (mine, loop / "mine")):
-        given = {p: tmp_path / "no" for p in command.params if p.required} | {read: one, written: other}
-        words = [word for p, v in given.items() for word in ([v] if isinstance(p, click.Argument) else [p.opts[-1], v])]
+        arguments = {p: tmp_path / "no" for p in command.params if p.required} | {read: one, output: other}
+        words = [word for p, v in arguments.items() for word in ([v] if isinstance(p, click.Argument) else [p.opts[-1], v])]
         refused_untouched(tmp_path, (*names, *words), "the same file as", "which is read")
 
 
@@ -228,8 +228,8 @@ def test_an_empty_name_is_not_the_current_folder(tmp_path, monkeypatch, names, c
     """A script's ``-o "$OUT"`` without an OUT would write there, and with --overwrite remove."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "frame.0000.exr").write_bytes(b"mine")
-    given = {p: tmp_path / "no" for p in command.params if p.required} | {place: ""}
-    words = [word for p, v in given.items() for word in ([v] if isinstance(p, click.Argument) else [p.opts[-1], v])]
+    arguments = {p: tmp_path / "no" for p in command.params if p.required} | {place: ""}
+    words = [word for p, v in arguments.items() for word in ([v] if isinstance(p, click.Argument) else [p.opts[-1], v])]
     refused_untouched(tmp_path, (*names, *words), "expected a name, got an empty text")
 
 
@@ -264,9 +264,9 @@ DAMAGE = {
 def test_resume_keeps_only_what_is_as_it_was_written(finished, out, demo, name, damage):
     damaged = DAMAGE[damage]((out / name).read_bytes(), (out / "frame.0002.exr").read_bytes())
     (out / name).write_bytes(damaged)
-    assert kept(demo, out) == FRAMES - 1
+    assert count_kept(demo, out) == FRAMES - 1
     assert contents(out) == contents(finished) | {f"{name}.1.aside": damaged}
-    assert kept(demo, out) == FRAMES
+    assert count_kept(demo, out) == FRAMES
 
 
 @pytest.mark.parametrize("option", ["--overwrite", "--resume"])
@@ -279,11 +279,11 @@ def test_a_file_of_others_under_a_listed_name_is_moved_aside(finished, out, demo
     result = call("run", demo / "frames", "-o", out, option, *where, *PLAIN)
     assert result.returncode == 0
     assert "frame.0002.exr: not as stss.sha256 says, so somebody else's: moved to frame.0002.exr.1.aside" in result.stderr
-    found = contents(out)
-    asides = [found[f"frame.{name}.aside"] for name in ("0002.exr.1", "0003.exr.2", "0003.exr.1")]
+    files_now = contents(out)
+    asides = [files_now[f"frame.{name}.aside"] for name in ("0002.exr.1", "0003.exr.2", "0003.exr.1")]
     assert asides == [b"mine", b"mine", b"mine of old"]
-    assert found["frame.0002.exr"] == contents(finished)["frame.0002.exr"]
-    assert ("frame.0003.exr" in found) == (option == "--resume")
+    assert files_now["frame.0002.exr"] == contents(finished)["frame.0002.exr"]
+    assert ("frame.0003.exr" in files_now) == (option == "--resume")
 
 
 def test_no_page_of_others_is_replaced(tmp_path):
@@ -295,7 +295,7 @@ def test_no_page_of_others_is_replaced(tmp_path):
     assert {name: data for name, data in contents(tmp_path).items() if not name.endswith(SUMS)} == before
 
 
-def kept(demo, out, **more):
+def count_kept(demo, out, **more):
     """Resume in this process: how many frames were kept."""
     from stss.frames.backends import open_backend
     from stss.run.job import run
@@ -319,10 +319,10 @@ def test_a_run_that_is_killed_can_be_resumed(finished, demo, tmp_path):
     )
     command = [sys.executable, "-c", code, "run", str(demo / "frames"), "-o", str(out), *PLAIN]
     assert subprocess.run(command, capture_output=True, check=False).returncode == -signal.SIGKILL
-    left = [path for path in out.iterdir() if path.suffix == ".part"]
-    assert len(left) == 1
+    parts = [path for path in out.iterdir() if path.suffix == ".part"]
+    assert len(parts) == 1
     assert (out / LOCK).exists()
-    assert kept(demo, out) == 2
+    assert count_kept(demo, out) == 2
     assert contents(out) == contents(finished)
 
 
@@ -331,10 +331,10 @@ def test_a_list_and_a_frame_of_any_length_take_no_memory(finished, out, demo, tm
     os.truncate(out / "frame.0002.exr", 1 << 30)
     tracemalloc.start()
     try:
-        assert kept(demo, out) == FRAMES - 1
+        assert count_kept(demo, out) == FRAMES - 1
         os.truncate(out / SUMS, 1 << 30)
         with pytest.raises(InputError, match="expected at most 64 MiB"):
-            kept(demo, out)
+            count_kept(demo, out)
         assert tracemalloc.get_traced_memory()[1] < 1 << 28
     finally:
         tracemalloc.stop()
@@ -358,7 +358,7 @@ def test_a_damaged_list_harms_nothing(finished, demo, tmp_path, line):
     secret.write_text("mine")
     with (out / SUMS).open("a", encoding="latin-1") as file:
         file.write(line)
-    assert kept(demo, out) == LINES[line]
+    assert count_kept(demo, out) == LINES[line]
     assert contents(out) == contents(finished)
     assert secret.exists()
 

@@ -97,10 +97,10 @@ def write(path, content):
 
 def as_listed(path):
     """The frames of a folder; its list has each of them with its checksum."""
-    found = files(path)
-    lines = dict(reversed(line.split("  ")) for line in found.pop("stss.sha256").decode().splitlines())
-    assert lines == {name: hashlib.sha256(data).hexdigest() for name, data in found.items()}
-    return found
+    paths = files(path)
+    lines = dict(reversed(line.split("  ")) for line in paths.pop("stss.sha256").decode().splitlines())
+    assert lines == {name: hashlib.sha256(data).hexdigest() for name, data in paths.items()}
+    return paths
 
 
 def test_a_run_is_killed_at_every_moment(folder):
@@ -123,9 +123,9 @@ EARLIER = {  # what the folder has before -> what it has in the end, besides the
 @pytest.mark.parametrize("earlier", EARLIER)
 def test_gather_is_killed_at_every_moment(folder, earlier):
     """And again from two of the moments on, later."""
-    held, stays, overwrite = EARLIER[earlier]
+    earlier_files, stays, overwrite = EARLIER[earlier]
     want = frames(range(4))
-    write(folder / "out", held)
+    write(folder / "out", earlier_files)
     for part in ("0", "1"):
         write(folder / "parts" / part, frames([2 * int(part), 2 * int(part) + 1]))
 

@@ -53,10 +53,10 @@ class Reuses:
 
     def __call__(self, frame):
         arrays = self._sets[frame.number % len(self._sets)]
-        given = {name: getattr(frame, name) for name in PLANES}
+        planes = {name: getattr(frame, name) for name in PLANES}
         for name, array in arrays.items():
-            array[...] = np.nan if given[name] is None else given[name]
-        return replace(frame, **{name: None if given[name] is None else arrays[name] for name in PLANES})
+            array[...] = np.nan if planes[name] is None else planes[name]
+        return replace(frame, **{name: None if planes[name] is None else arrays[name] for name in PLANES})
 
 
 def show(frames, length, *callers):
@@ -83,11 +83,11 @@ def two_streams(request, device):
 @settings(max_examples=6)
 @example(drawn=FIRST_COLOR_LAST_READ)
 @given(drawn=FILMS)
-def test_arrays_may_be_rewritten_once_their_frame_left_the_window(two_streams, drawn):
+def test_arrays_may_be_rewritten_once_their_frame_left_the_window(two_streams, case):
     """As many sets of arrays as a window has frames give the bits, and the cost, of new arrays for every frame."""
-    frames = film(drawn.changes, drawn.size, drawn.seed, drawn.rendered)
-    callers = zip(two_streams, (Reuses(frames[0], drawn.window), lambda frame: frame), strict=True)
-    for reused, fresh in show(frames, drawn.window, *callers):
+    frames = film(case.changes, case.size, case.seed, case.rendered)
+    callers = zip(two_streams, (Reuses(frames[0], case.window), lambda frame: frame), strict=True)
+    for reused, fresh in show(frames, case.window, *callers):
         assert_same(reused[0], fresh[0])
         assert reused[1] == fresh[1]
 
@@ -117,11 +117,11 @@ def test_a_stream_that_is_dropped_is_freed_at_once(device):
     stream = Stream(WEIGHTS, device)
     for call in calls_of(still_with("nothing", at=0))[:6]:
         stream(*call)
-    gone = [weakref.ref(each) for each in (stream, stream._uploaded, *stream._caches.values())]
+    references = [weakref.ref(each) for each in (stream, stream._uploaded, *stream._caches.values())]
     gc.disable()
     try:
         del stream
-        assert [ref() for ref in gone] == [None] * 4
+        assert [ref() for ref in references] == [None] * 4
     finally:
         gc.enable()
 

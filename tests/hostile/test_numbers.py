@@ -69,10 +69,10 @@ def test_masked_values_end_in_finite_images_alike_everywhere(write_frames, backe
     change = broken(name, place, value, frames=(2, 3))
     sequence = open_sequence(write_frames(NUMBERS, change=change, rendered=RENDERED, size=SIZE), "stss", non_finite="mask")
     frames = [sequence.load(number) for number in NUMBERS]
-    made = {which: list(Supersampler(backend=backend)(frames)) for which, backend in backends.items()}
-    assert {len(outputs) for outputs in made.values()} == {len(NUMBERS)}
-    for outputs in zip(*made.values(), strict=True):
-        got = dict(zip(made, outputs, strict=True))
+    images = {which: list(Supersampler(backend=backend)(frames)) for which, backend in backends.items()}
+    assert {len(outputs) for outputs in images.values()} == {len(NUMBERS)}
+    for outputs in zip(*images.values(), strict=True):
+        got = dict(zip(images, outputs, strict=True))
         for output in outputs:
             assert np.isfinite(output.image).all()
             np.testing.assert_array_equal(output.valid, got["ref"].valid)
@@ -93,8 +93,8 @@ def test_refused_values_are_named_and_nothing_is_written(write_frames, tmp_path,
     command = ["run", str(folder), "-o", str(tmp_path / "out"), "--profile", "stss", "--weights", "bilinear"]
     with pytest.raises(InputError, match=rf"seq\.000{number}\.exr: channel .*: 1 non-finite values, first at \(y=11, x=13\)"):
         stss.main(command, standalone_mode=False)
-    written = sorted(path.name for path in (tmp_path / "out").glob("*.exr"))
-    assert written == [f"frame.{n:04d}.exr" for n in range(number)]
+    names = sorted(path.name for path in (tmp_path / "out").glob("*.exr"))
+    assert names == [f"frame.{n:04d}.exr" for n in range(number)]
     for path in (tmp_path / "out").glob("*.exr"):
         assert all(np.isfinite(plane).all() for plane in read_channels(path, ["R", "G", "B"]).values())
 

@@ -143,15 +143,15 @@ def test_a_faulty_program_says_what_it_did(program, tmp_path, fault):
     """One error without a traceback; nothing outside its job is touched, and no process of it is left."""
     lines, words = FAULTS[fault]
     before = everything(tmp_path / "outside")
-    with pytest.raises(PortError) as caught:
+    with pytest.raises(PortError) as error:
         program(lines).run("warp", smallest_case("warp").inputs)
-    assert words in str(caught.value)
-    assert "root:" not in str(caught.value)
-    assert all(line.isprintable() for line in str(caught.value).splitlines())
+    assert words in str(error.value)
+    assert "root:" not in str(error.value)
+    assert all(line.isprintable() for line in str(error.value).splitlines())
     assert everything(tmp_path / "outside") == before
     assert not processes_of(tmp_path)
     for job in (tmp_path / "jobs").iterdir():
-        assert str(job) in str(caught.value)
+        assert str(job) in str(error.value)
         assert (job / "stderr.txt").is_file()
 
 
@@ -173,12 +173,12 @@ def processes_of(folder):
 def test_what_a_program_leaves_ends_with_it(program, tmp_path, stays):
     """A child, and one with a session and an environment of its own whose parent has ended; after a right answer, and after its time."""
     away = CHILD.replace("[1]])", "[1]], start_new_session=True, env={})")
-    left = f"{CHILD}; subprocess.run([sys.executable, '-c', \"import subprocess, sys; {away}\", sys.argv[1]])"
+    child = f"{CHILD}; subprocess.run([sys.executable, '-c', \"import subprocess, sys; {away}\", sys.argv[1]])"
     if stays:
         with pytest.raises(PortError, match="stopped after 3 s"):
-            program(f"{left}; time.sleep(600)", 3).run("warp", smallest_case("warp").inputs)
+            program(f"{child}; time.sleep(600)", 3).run("warp", smallest_case("warp").inputs)
     else:
-        assert program(f"right(); {left}").run("warp", smallest_case("warp").inputs).keys() == {"warped", "inside"}
+        assert program(f"right(); {child}").run("warp", smallest_case("warp").inputs).keys() == {"warped", "inside"}
     assert not processes_of(tmp_path)
 
 
@@ -244,15 +244,15 @@ def test_nothing_judged_is_a_failure(tmp_path, monkeypatch, port, stages):
     some = ["--stages", stages] if stages else []
     done = CliRunner().invoke(command, ["conform", "--port", f"few_ports:{port}", *some, *files])
     assert done.exit_code == 1
-    said = "nothing was judged: the port has none of the stages asked for"
-    assert said in done.output
-    found = json.loads(Path("found.json").read_text())
-    assert not found["passed"]
-    assert not found["judged"]
-    assert said in found["tests"][-1]["message"]
+    message = "nothing was judged: the port has none of the stages asked for"
+    assert message in done.output
+    data = json.loads(Path("found.json").read_text())
+    assert not data["passed"]
+    assert not data["judged"]
+    assert message in data["tests"][-1]["message"]
     suite = ElementTree.parse("junit.xml").getroot().find("testsuite[@name='suite']")
     assert suite.get("failures") == "1"
-    assert said in suite.find(".//failure").text
+    assert message in suite.find(".//failure").text
     assert "was not judged" in Path("page.html").read_text()
 
 
@@ -373,12 +373,12 @@ def test_one_wrong_number_fails(stage, output):
                 planted.append(tuple(places[data.draw(st.integers(0, len(places) - 1))]))
                 array[planted[-1]] = 1 - array[planted[-1]] if is_mask else data.draw(st.sampled_from([np.nan, np.inf, -np.inf]))
 
-        planted, found, judge = [], "", Judge(Planted(plant))
+        planted, names_seen, judge = [], "", Judge(Planted(plant))
         try:
             agrees(judge, stage, inputs)
         except DepartureError as error:
-            found = str(error)
-        assert bool(planted) == (f"{stage}.{output}: " in found) or (is_mask and judge.record.undecided)
+            names_seen = str(error)
+        assert bool(planted) == (f"{stage}.{output}: " in names_seen) or (is_mask and judge.record.undecided)
 
     one()
 
@@ -448,14 +448,14 @@ def test_a_port_that_answers_in_one_buffer_is_found_out():
 
 def test_a_replay_is_judged_or_says_so(tmp_path):
     """A job of one case is held against the reference; a folder that was tampered with is refused."""
-    kept = tmp_path / "kept"
-    write_job(kept, [Case("warp", {name: array + 0.5 for name, array in smallest_case("warp").inputs.items()})])
-    assert replay(ReferencePort(), kept).worst == {"warp.warped": 0, "warp.inside": 0}
+    folder = tmp_path / "kept"
+    write_job(folder, [Case("warp", {name: array + 0.5 for name, array in smallest_case("warp").inputs.items()})])
+    assert replay(ReferencePort(), folder).worst == {"warp.warped": 0, "warp.inside": 0}
     wrong = Planted(lambda outputs: outputs["warped"].fill(np.nan))
-    assert "warp.warped: error / bound inf" in replay(wrong, kept).failure.finding.message
-    (kept / "property").mkdir()
+    assert "warp.warped: error / bound inf" in replay(wrong, folder).failure.finding.message
+    (folder / "property").mkdir()
     for drawn_text in ("", '{"test": 3, "drawn": 1}', '{"test": "warp.agrees_with_the_reference", "drawn": {"array": "../x"}}',
                        '{"test": "os.system", "drawn": {"dict": {"a": 1}}}'):  # fmt: skip
-        (kept / "property" / "property.json").write_text(drawn_text)
+        (folder / "property" / "property.json").write_text(drawn_text)
         with pytest.raises(InputError, match=r"damaged|expected the folder of one failure"):
-            replay(wrong, kept)
+            replay(wrong, folder)

@@ -57,9 +57,9 @@ def test_what_a_system_refuses_is_one_line(monkeypatch, capsys, error):
     monkeypatch.setattr(sys.stdout, "fileno", lambda: 1, raising=False)
     with pytest.raises(SystemExit) as ended:
         run_guarded(command)
-    said = capsys.readouterr().err
+    text = capsys.readouterr().err
     assert ended.value.code == 2
-    assert said in ("stss: out of memory: the system gives this process no more\n", "stss: Input/output error\n")
+    assert text in ("stss: out of memory: the system gives this process no more\n", "stss: Input/output error\n")
 
 
 @pytest.mark.skipif(os.name == "nt", reason="no signals")
@@ -71,9 +71,9 @@ def test_an_interrupt_while_it_starts_says_nothing(tmp_path):
             process.stdout.readline()
             time.sleep(0.05 + delay)
             process.send_signal(signal.SIGINT)
-            _, said = process.communicate(timeout=60)
+            _, text = process.communicate(timeout=60)
         assert process.returncode in (0, 130)
-        assert not said.strip()
+        assert not text.strip()
 
 
 def test_frames_and_list_that_were_edited_by_hand_are_made_again(frames, tmp_path):

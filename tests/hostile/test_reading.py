@@ -31,7 +31,7 @@ def sequence(tmp_path):
     return tmp_path / "in"
 
 
-def said(result, *words):
+def require_line(result, *words):
     """Status 2, and what is wrong: on stderr, or as a finding of ``stss check``."""
     if result.stdout:
         result = subprocess.CompletedProcess((), result.returncode, "", f"stss: {result.stdout.splitlines()[0]}")
@@ -66,7 +66,7 @@ GAP = f"no frame between 1 and {FAR}; expected gaps of at most 1000"
 def test_a_gap_between_frames_is_never_walked(apart, monkeypatch, command, words):
     monkeypatch.chdir(apart)
     plain = () if command.split()[0] == "check" else PLAIN
-    said(call(*command.split(), *plain, seconds=20), words)
+    require_line(call(*command.split(), *plain, seconds=20), words)
     assert not (apart / "new").exists()
 
 
@@ -76,7 +76,7 @@ def test_frames_apart_are_compared_all_the_same(apart):
 
 def test_a_finding_lists_the_first_of_the_frames_that_are_not_there(apart):
     write(apart / "in" / "seq.3.exr")
-    said(call("check", apart / "in", seconds=20), "display frames 2, 4, 5, 6, 7, 8, 9, 10, ... (99999996 in all)")
+    require_line(call("check", apart / "in", seconds=20), "display frames 2, 4, 5, 6, 7, 8, 9, 10, ... (99999996 in all)")
 
 
 @pytest.mark.parametrize(
@@ -98,7 +98,7 @@ def test_a_finding_lists_the_first_of_the_frames_that_are_not_there(apart):
 def test_an_option_out_of_its_range_is_refused(sequence, monkeypatch, command, option, values):
     monkeypatch.chdir(sequence.parent)
     for value in values:
-        said(call(*command.split(), option, *value.split()), option)
+        require_line(call(*command.split(), option, *value.split()), option)
         assert not (sequence.parent / "new").exists()
 
 
@@ -111,7 +111,7 @@ def test_a_file_whose_name_is_not_utf8_is_refused(sequence, monkeypatch, command
     (sequence / "seq.0002.exr").rename(sequence / os.fsdecode(b"seq.\xff.0002.exr"))
     (sequence / "seq.0001.exr").unlink()
     more = {"compare": [sequence], "compare --sequence": [sequence, sequence]}.get(command, [])
-    said(call(*command.split(), sequence, *more), "seq.\\udcff.0002.exr: expected a name in UTF-8")
+    require_line(call(*command.split(), sequence, *more), "seq.\\udcff.0002.exr: expected a name in UTF-8")
 
 
 # Files that are none
@@ -134,7 +134,7 @@ def test_only_regular_files_are_read(sequence, monkeypatch, place):
     monkeypatch.chdir(sequence.parent)
     name, command = PLACES[place]
     (sequence.parent / name).mkdir(parents=True)
-    said(call(*command.split(), seconds=20), name, "expected a regular file, found a folder")
+    require_line(call(*command.split(), seconds=20), name, "expected a regular file, found a folder")
     assert not (sequence.parent / "new").exists()
 
 
@@ -155,7 +155,7 @@ def test_an_attribute_as_long_as_its_file_is_not_read(sequence, kind):
     with path.open("wb") as file:
         file.write(data[:8] + b"long\0" + kind.encode() + b"\0" + struct.pack("<I", 3 << 30))
         file.truncate(3 << 30)
-    said(call("check", sequence, seconds=20), "seq.0002.exr: a header of more than 32 MiB")
+    require_line(call("check", sequence, seconds=20), "seq.0002.exr: a header of more than 32 MiB")
 
 
 def test_a_header_is_measured_in_files_of_every_kind(tmp_path):
@@ -175,5 +175,5 @@ def test_a_header_that_claims_more_than_the_file_can_hold(sequence):
     for side in (4000, 16384, 2**31 - 1):
         window = struct.pack("<4i", 0, 0, SIZE[1] - 1, SIZE[0] - 1)
         path.write_bytes(path.read_bytes().replace(window, struct.pack("<4i", 0, 0, side - 1, side - 1)))
-        said(call("check", sequence, seconds=20), "seq.0002.exr: ")
+        require_line(call("check", sequence, seconds=20), "seq.0002.exr: ")
         write(path, 2)

@@ -133,7 +133,7 @@ def to_half(x: Array) -> Array:
         return x.astype(np.float16).astype(np.float32)
 
 
-def stored(function: Callable[..., Array]) -> Callable[..., Array]:
+def in_half(function: Callable[..., Array]) -> Callable[..., Array]:
     """``function`` with its result stored in half precision."""
     return lambda *arguments, **options: to_half(function(*arguments, **options))
 
@@ -237,14 +237,14 @@ PLANTS: dict[str, tuple[Plant, ...]] = {
     "flush": (),
     **{name: (_conv(winograd, *how),) for name, how in WINOGRAD.items()},
     "half": (
-        put("conv.gated", stored(plain.gated)),
+        put("conv.gated", in_half(plain.gated)),
         put("conv.conv_chain", half_chain),
-        put("rrm.concat_masked", stored(rrm.concat_masked)),
-        *(put(f"resample.{f.__name__}", stored(f)) for f in (*_RESAMPLED, resample.pixel_shuffle)),
+        put("rrm.concat_masked", in_half(rrm.concat_masked)),
+        *(put(f"resample.{f.__name__}", in_half(f)) for f in (*_RESAMPLED, resample.pixel_shuffle)),
         put("erm.attend", half_attend),
         put("warp.warp", half_warp),
         put("occlusion_warp.occlusion_warp", half_occlusion_warp),
-        put("reshade.reshade", stored(reshade.reshade)),
+        put("reshade.reshade", in_half(reshade.reshade)),
     ),
 }
 HOW: dict[str, dict[str, Any]] = {

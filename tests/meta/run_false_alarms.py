@@ -43,10 +43,10 @@ def main():
     names = sys.argv[1:] or list(PORTS)
     if unknown := [name for name in names if name not in PORTS]:
         sys.exit(f"{', '.join(unknown)}: expected some of {', '.join(PORTS)}")
-    found = {}
+    ratios = {}
     with ProcessPoolExecutor() as pool:
         for name, (alarms, worst, counts) in zip(names, pool.map(judged, names), strict=True):
-            found[name] = alarms, worst, counts
+            ratios[name] = alarms, worst, counts
             print(f"{name}: {counts[0]} cases, {counts[1]} numbers decided by rounding, {counts[2]} cases not judged")
             print("   ", ", ".join(f"{stage} {ratio:.2g}" for stage, ratio in worst.items()))
             for alarm in alarms:
@@ -54,8 +54,8 @@ def main():
             sys.stdout.flush()  # minutes pass before the next port
     print(f"{perf_counter() - start:.0f} s")
     if not sys.argv[1:]:
-        write_between(PAGE, "make alarms", table(found))
-    sys.exit(1 if any(alarms for alarms, _, _ in found.values()) else 0)
+        write_between(PAGE, "make alarms", table(ratios))
+    sys.exit(1 if any(alarms for alarms, _, _ in ratios.values()) else 0)
 
 
 if __name__ == "__main__":

@@ -104,22 +104,22 @@ def main():
     parser.add_argument("stages", nargs="*", help="stages whose mistakes are tried; none: all")
     parser.add_argument("--seed", type=int, default=0, help="other cases than a user's default ones")
     parser.add_argument("--found", type=Path, help="JSON file of what was found so far")
-    asked = parser.parse_args()
-    found = json.loads(asked.found.read_text()) if asked.found is not None and asked.found.exists() else {}
-    wanted = [mutant.id for mutant in MISTAKES if not asked.stages or mutant.stage in asked.stages]
-    names = [name for name in wanted if name not in found]
+    options = parser.parse_args()
+    found = json.loads(options.found.read_text()) if options.found is not None and options.found.exists() else {}
+    mutants = [mutant.id for mutant in MISTAKES if not options.stages or mutant.stage in options.stages]
+    names = [name for name in mutants if name not in found]
     start = perf_counter()
     with ProcessPoolExecutor() as pool:
-        for name, (by, seconds) in zip(names, pool.map(killers, names, repeat(asked.seed), chunksize=2), strict=True):
+        for name, (by, seconds) in zip(names, pool.map(killers, names, repeat(options.seed), chunksize=2), strict=True):
             found[name] = by
             print(f"{name:42s} {seconds:5.1f} s  {', '.join(by) or 'SURVIVES'}", flush=True)
-            if asked.found is not None:
-                asked.found.write_text(json.dumps(found, indent=0))
-    survivors = [name for name in wanted if not found[name]]
-    print(f"{len(wanted) - len(survivors)} of {len(wanted)} found out, {perf_counter() - start:.0f} s")
-    if not asked.seed and not survivors and len(found) == len(MISTAKES):
+            if options.found is not None:
+                options.found.write_text(json.dumps(found, indent=0))
+    survivors = [name for name in mutants if not found[name]]
+    print(f"{len(mutants) - len(survivors)} of {len(mutants)} found out, {perf_counter() - start:.0f} s")
+    if not options.seed and not survivors and len(found) == len(MISTAKES):
         write_between(PAGE, MARK, table(found, seconds_by_generator()))
-    sys.exit(1 if survivors or not wanted else 0)
+    sys.exit(1 if survivors or not mutants else 0)
 
 
 if __name__ == "__main__":

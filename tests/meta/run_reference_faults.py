@@ -221,7 +221,7 @@ def main():
     start, faulty = perf_counter(), Faults(sys.argv[1:] or MODULES)
     options = ["-q", "-p", "no:cacheprovider", "-s", "tests/ref", "--ignore", "tests/ref/test_reference_data.py"]
     pytest.main(options, plugins=[faulty])
-    survivors = [name for name, found in faulty.found.items() if not found]
+    survivors = [name for name, is_caught in faulty.found.items() if not is_caught]
     same = [name for name in survivors if name.rpartition(",")[0] in SAME]
     planted = len(faulty.found) - len(same)
     print(f"{planted + len(same) - len(survivors)} of {planted} found by tests/ref, {perf_counter() - start:.0f} s;", end=" ")

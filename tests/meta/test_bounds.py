@@ -43,22 +43,24 @@ def test_the_row_for_winograd(outputs, points, most):
 
 
 def test_bfloat16_is_rounded_to_the_nearest_ties_to_even():
-    given = np.array([1 + 2.0**-8, 1 + 3 * 2.0**-8, 1 + 2.0**-7, 3.4e38, -np.inf, np.nan], np.float32)
+    numbers = np.array([1 + 2.0**-8, 1 + 3 * 2.0**-8, 1 + 2.0**-7, 3.4e38, -np.inf, np.nan], np.float32)
     largest = (2 - 2.0**-7) * 2.0**127
     want = [1, 1 + 2.0**-6, 1 + 2.0**-7, largest, -np.inf, np.nan]
-    np.testing.assert_array_equal(Arithmetic("bfloat16").rounded(given), np.array(want, np.float32))
+    np.testing.assert_array_equal(Arithmetic("bfloat16").rounded(numbers), np.array(want, np.float32))
 
 
-def shown(first, frames, offs=(0, 0, 0), unit="float32"):
+def detail_of(first, frames, offs=(0, 0, 0), unit="float32"):
     """What ``detail`` is in float64; the most that a port's may be off, by its own rounding and by its motion's; where all motions
     surely lead into the frame, or out of it."""
     exact = [[a.astype(np.float64) for a in frame] for frame in frames]
     arithmetic, stencil = Arithmetic(unit), np.zeros(first.shape[:2])
     places = [reach(m, arithmetic, off) for (_, m, _), off in zip(exact, offs, strict=False)]
     within = [within_frame(at) for at in places]
-    seen = [(color, at, numbers, inside) for (color, _, numbers), at, (inside, _) in zip(exact, places, within, strict=True)]
+    frames_there = [
+        (color, at, numbers, inside) for (color, _, numbers), at, (inside, _) in zip(exact, places, within, strict=True)
+    ]
     sure = ~np.any([unsure for _, unsure in within], axis=0)
-    return detail(first.astype(np.float64), stencil, exact), *detail_errors(first, stencil, seen, arithmetic), sure
+    return detail(first.astype(np.float64), stencil, exact), *detail_errors(first, stencil, frames_there, arithmetic), sure
 
 
 @hypothesis.settings(max_examples=200, deadline=None, database=None)
@@ -77,9 +79,9 @@ def test_motion_that_is_off_by_its_rounding_keeps_detail_within_the_bound(seed, 
     frames = [*zip(colors, motions, (random.random((3, *size)) < 0.2).astype(np.float32), strict=True)]
     offs = [sum_error(motion.astype(np.float64), 1, Arithmetic(unit)) for motion in motions]
     shares = random.choice(ways, (3, *size, 2)) * (1 if all_alike else random.random((3, *size, 2)))
-    want, rounded, moved, sure = shown(first, frames, offs, unit)
+    want, rounded, moved, sure = detail_of(first, frames, offs, unit)
     off = [(c, m + share * off, numbers) for (c, m, numbers), share, off in zip(frames, shares, offs, strict=True)]
-    assert worst(np.abs(shown(first, off)[0] - want)[sure], moved[sure] + 1e-14) <= 1
+    assert worst(np.abs(detail_of(first, off)[0] - want)[sure], moved[sure] + 1e-14) <= 1
     assert unit == "float16" or worst(np.abs(detail(first, np.zeros(size, np.float32), frames) - want), rounded) <= 1
 
 
@@ -91,9 +93,9 @@ def test_a_motion_that_is_off_by_a_little_more_is_beyond_it():
         np.broadcast_to([0.75, 0], (1, 9, 2)),
         np.array([1e-4, 0]),
     )
-    seen = np.zeros((1, 9))
-    want, _, most, _ = shown(black, [(white, motion, seen)], [np.broadcast_to(off, (1, 9, 2))])
-    moved = [worst(np.abs(shown(black, [(white, motion - k * off, seen)])[0] - want), most) for k in (1, 1.25)]
+    weights_sum = np.zeros((1, 9))
+    want, _, most, _ = detail_of(black, [(white, motion, weights_sum)], [np.broadcast_to(off, (1, 9, 2))])
+    moved = [worst(np.abs(detail_of(black, [(white, motion - k * off, weights_sum)])[0] - want), most) for k in (1, 1.25)]
     assert 0.8 < moved[0] <= 1 < moved[1]
 
 

@@ -27,7 +27,7 @@ def reader():
     return names["departing"]
 
 
-def written(folder, stages, tier=FEW, **arithmetic):
+def write_archive(folder, stages, tier=FEW, **arithmetic):
     write_cases(folder, stages, tier, **arithmetic)
     return json.loads((folder / "index.json").read_text())
 
@@ -40,24 +40,24 @@ def answers(archive, case, port):
 
 def share(archive, index, port):
     """The share of the cases in which each output departs."""
-    departing, found = reader(), {}
+    departing, shares = reader(), {}
     for case in index["cases"]:
         got = answers(archive, case, port)
         for output in case["outputs"]:
-            found.setdefault(f"{case['stage']}.{output}", []).append(departing(archive, case, output, got[output]) > 0)
-    return {name: float(np.mean(each)) for name, each in found.items()}
+            shares.setdefault(f"{case['stage']}.{output}", []).append(departing(archive, case, output, got[output]) > 0)
+    return {name: float(np.mean(each)) for name, each in shares.items()}
 
 
 @pytest.fixture(scope="module")
 def archive(tmp_path_factory):
     folder = tmp_path_factory.mktemp("archive") / "cases"
-    return folder, written(folder, ["motion_chain", "warp", "occlusion_warp", "rrm", "history"])
+    return folder, write_archive(folder, ["motion_chain", "warp", "occlusion_warp", "rrm", "history"])
 
 
 def test_the_reference_is_right(archive):
-    found = share(*archive, ReferencePort())
-    assert len(found) == 7
-    assert not any(found.values()), found
+    shares = share(*archive, ReferencePort())
+    assert len(shares) == 7
+    assert not any(shares.values()), shares
 
 
 @pytest.mark.parametrize(
@@ -107,7 +107,7 @@ def test_it_is_a_job(archive, tmp_path):
 def test_the_same_seed_gives_the_same_bytes(tmp_path):
     """And what the checksums say of the inputs is what the index says."""
     for name in ("a", "b"):
-        index = written(tmp_path / name, ["rrm", "history"], Tier("few", 4, 2, 1))
+        index = write_archive(tmp_path / name, ["rrm", "history"], Tier("few", 4, 2, 1))
     sums = [(tmp_path / name / "SHA256SUMS").read_bytes() for name in ("a", "b")]
     assert sums[0] == sums[1]
     lines = sums[0].decode().splitlines()
@@ -117,13 +117,13 @@ def test_the_same_seed_gives_the_same_bytes(tmp_path):
     for line in lines:
         digest, file = line.split("  ")
         assert hashlib.sha256((tmp_path / "a" / file).read_bytes()).hexdigest() == digest
-    asked = "".join(f"{line}\n" for line in lines if re.search(r"  [0-9]+/(in/|stage$)", line))
-    assert hashlib.sha256(asked.encode()).hexdigest() == index["inputs_sha256"]
+    inputs = "".join(f"{line}\n" for line in lines if re.search(r"  [0-9]+/(in/|stage$)", line))
+    assert hashlib.sha256(inputs.encode()).hexdigest() == index["inputs_sha256"]
 
 
 def test_weights_are_there_once(tmp_path):
     """Those of the large frames are the same."""
-    folder, index = tmp_path / "cases", written(tmp_path / "cases", ["history"], Tier("few", 1, 1, 2))
+    folder, index = tmp_path / "cases", write_archive(tmp_path / "cases", ["history"], Tier("few", 1, 1, 2))
     files = [folder / case["weights"] for case in index["cases"] if case["weights"]]
     contents = {hashlib.sha256(path.read_bytes()).digest() for path in files}
     assert len({path.stat().st_ino for path in files}) == len(contents) < len(files)
@@ -141,7 +141,7 @@ def test_exact_cases_allow_nothing(tmp_path):
     """Unless for Winograd, whose matrices have thirds."""
     for winograd in (False, True):
         folder = tmp_path / str(winograd)
-        index = written(folder, ["history"], Tier("few", 2, 1, 0), winograd=winograd)
+        index = write_archive(folder, ["history"], Tier("few", 2, 1, 0), winograd=winograd)
         case = next(case for case in index["cases"] if case["test"] == "history.what_needs_no_rounding_is_exact")
         allowed = np.load(folder / case["outputs"]["feature"]["allowed"])
         assert (allowed.max() > 1e-30) == winograd
@@ -153,5 +153,5 @@ def test_it_is_whole_or_not_there(tmp_path, monkeypatch):
 
     monkeypatch.setattr(np, "save", full)
     with pytest.raises(InputError, match="No space left"):
-        written(tmp_path / "cases", ["rrm"])
+        write_archive(tmp_path / "cases", ["rrm"])
     assert not list(tmp_path.iterdir())

@@ -87,9 +87,9 @@ def run(*arguments):
 def test_the_reference_passes(here):
     done = run("--port", "stss.port:ReferencePort", "--stages", "rrm", "--json", "found.json")
     assert done.exit_code == 0, done.output
-    found = json.loads((here / "found.json").read_text())
-    assert found["passed"]
-    assert {test["stage"] for test in found["tests"]} == {"rrm"}
+    data = json.loads((here / "found.json").read_text())
+    assert data["passed"]
+    assert {test["stage"] for test in data["tests"]} == {"rrm"}
     assert not (here / "conform-failures").exists()
 
 
@@ -98,11 +98,11 @@ def test_a_wrong_port_leaves_what_is_needed(here):
     assert done.exit_code == 1
     assert "warp.agrees_with_the_reference: warp.warped: error / bound" in done.output
     assert "the port lacks it" in done.output
-    kept = here / "conform-failures" / "warp.agrees_with_the_reference"
-    color = np.load(kept / "0000" / "in" / "color.npy")
+    folder = here / "conform-failures" / "warp.agrees_with_the_reference"
+    color = np.load(folder / "0000" / "in" / "color.npy")
     assert max(color.shape) <= 2  # as small as it gets
-    assert read_rgb(kept / "picture.png").size
-    assert "--replay" in (kept / "README.txt").read_text()
+    assert read_rgb(folder / "picture.png").size
+    assert "--replay" in (folder / "README.txt").read_text()
     page = (here / "page.html").read_text()
     assert "departs from the specification" in page
     assert "data:image/png;base64," in page
@@ -114,11 +114,11 @@ def test_a_wrong_port_leaves_what_is_needed(here):
     body = suite.find("testcase[@name='warp.agrees_with_the_reference']/failure").text
     assert "the test expects" in body
     assert "--replay conform-failures/warp.agrees_with_the_reference" in body
-    found = json.loads((here / "found.json").read_text())
-    assert {test["outcome"] for test in found["tests"] if test["stage"] == "holes"} == {"skipped"}
+    data = json.loads((here / "found.json").read_text())
+    assert {test["outcome"] for test in data["tests"] if test["stage"] == "holes"} == {"skipped"}
 
-    assert run("--port", "wrong_port:Port", "--replay", str(kept)).exit_code == 1
-    assert run("--port", "stss.port:ReferencePort", "--replay", str(kept)).exit_code == 0
+    assert run("--port", "wrong_port:Port", "--replay", str(folder)).exit_code == 1
+    assert run("--port", "stss.port:ReferencePort", "--replay", str(folder)).exit_code == 0
 
 
 def test_a_failure_is_told_when_it_occurs(here):
@@ -127,8 +127,8 @@ def test_a_failure_is_told_when_it_occurs(here):
     assert done.exit_code == 1
     assert re.search(r"^1 of \d+ tests: failed: warp\.agrees_with_the_reference: .* looks like", done.output, re.M)
     assert "stopped after 1 of" in done.output
-    found = json.loads((here / "found.json").read_text())
-    assert (found["complete"], found["passed"], len(found["tests"])) == (False, False, 1)
+    data = json.loads((here / "found.json").read_text())
+    assert (data["complete"], data["passed"], len(data["tests"])) == (False, False, 1)
 
 
 def test_a_stage_that_is_required_and_lacking_is_a_failure(here):
@@ -155,9 +155,9 @@ def test_what_an_interrupted_run_found_is_left(here):
     done = run("--port", "stopping:Port", "--stages", "rrm", "--json", "found.json")
     assert done.exit_code == 1
     assert "stopped after 1 of 3 tests" in done.output
-    found = json.loads((here / "found.json").read_text())
-    assert [test["outcome"] for test in found["tests"]] == ["passed"]
-    assert not found["complete"]
+    data = json.loads((here / "found.json").read_text())
+    assert [test["outcome"] for test in data["tests"]] == ["passed"]
+    assert not data["complete"]
 
 
 class Old(ReferencePort):
@@ -187,15 +187,15 @@ def test_the_picture_of_a_large_frame_shows_its_worst_part():
     want = np.zeros((1000, 1, 3))
     got = want.copy()
     got[700, 0] = 1
-    shown = draw(got, Expected(want, 1e-5))
-    assert shown.pixels.shape[0] < 300
-    assert shown.pixels.shape[1] > 180
-    assert (shown.pixels[:, -30] == 255).all(axis=-1).any()
-    assert "white 1e5" in shown.words
-    assert "rows 640 to 759 and columns 0 to 0 of the frame" in shown.words
+    picture = draw(got, Expected(want, 1e-5))
+    assert picture.pixels.shape[0] < 300
+    assert picture.pixels.shape[1] > 180
+    assert (picture.pixels[:, -30] == 255).all(axis=-1).any()
+    assert "white 1e5" in picture.words
+    assert "rows 640 to 759 and columns 0 to 0 of the frame" in picture.words
 
 
-def known(here, names, until="2999-01-01"):
+def write_known(here, names, until="2999-01-01"):
     entries = [{"test": name, "until": until, "reason": "https://example.org/1"} for name in names]
     (here / "known").write_text(json.dumps({"format": 1, "failures": entries}))
 
@@ -204,7 +204,7 @@ def test_known_failures(here):
     run("--port", "wrong_port:Inverted", "--stages", "rrm", "--json", "found.json")
     failed = [test["id"] for test in json.loads((here / "found.json").read_text())["tests"] if test["outcome"] == "failed"]
     assert len(failed) > 1
-    known(here, [*failed, "holes.agrees_with_the_reference"])  # the last is not asked for, and has no say
+    write_known(here, [*failed, "holes.agrees_with_the_reference"])  # the last is not asked for, and has no say
     done = run(
         "--port", "wrong_port:Inverted", "--stages", "rrm", "--known-failures", "known", "--junit", "junit.xml", "--fail-fast"
     )
@@ -213,19 +213,19 @@ def test_known_failures(here):
     assert (counts.get("failures"), counts.get("errors"), counts.get("skipped")) == ("0", "0", str(len(failed)))
     assert "known until 2999-01-01: https://example.org/1" in done.output
     # Past the day they are failures again.
-    known(here, failed, "2020-02-29")
+    write_known(here, failed, "2020-02-29")
     done = run("--port", "wrong_port:Inverted", "--stages", "rrm", "--known-failures", "known")
     assert done.exit_code == 1
     assert "known until 2020-02-29, which is past: https://example.org/1" in done.output
     # On a right port the list is wrong, and that is said.
-    known(here, failed)
+    write_known(here, failed)
     done = run("--port", "stss.port:ReferencePort", "--stages", "rrm", "--known-failures", "known", "--junit", "junit.xml")
     assert done.exit_code == 1
     assert "take it off the list" in done.output
     assert ElementTree.parse(here / "junit.xml").getroot()[0].get("failures") == str(len(failed))
-    known(here, ["warp.no_such_test"])
-    said = call("conform", "--port", "wrong_port:Port", "--stages", "rrm", "--known-failures", "known").stderr
-    assert "known failures: no such test: warp.no_such_test" in said
+    write_known(here, ["warp.no_such_test"])
+    text = call("conform", "--port", "wrong_port:Port", "--stages", "rrm", "--known-failures", "known").stderr
+    assert "known failures: no such test: warp.no_such_test" in text
 
 
 @pytest.mark.parametrize(
@@ -310,8 +310,8 @@ def test_the_example_in_cpp_passes(tmp_path):
     write_job(tmp_path / "job", detailed[:1])
     (file,) = tmp_path.glob("job/0000/in/*.safetensors")
     whole = file.read_bytes()
-    said = {b"1": "no such entry in version 1", b"2": "expected stss_weights_version", b"3": "expected newest,"}
-    for version, words in said.items():
+    messages = {b"1": "no such entry in version 1", b"2": "expected stss_weights_version", b"3": "expected newest,"}
+    for version, words in messages.items():
         file.write_bytes(whole.replace(b'"4"', b'"' + version + b'"'))
         done = subprocess.run([tmp_path / "cpp" / "port", tmp_path / "job"], capture_output=True, text=True, check=False)
         assert (done.returncode, done.stderr.count("\n")) == (2, 1)

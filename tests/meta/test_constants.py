@@ -112,11 +112,11 @@ def test_right_ports_pass(name):
 def test_the_table_is_complete():
     """Every constant has a plant, and every number of the reference's stages but 1/2, the place between two pixels, is a constant."""
     assert PLANTS.keys() == {constant.name for constant in CONSTANTS}
-    known = {float(constant.value) for constant in CONSTANTS}
+    values = {float(constant.value) for constant in CONSTANTS}
     for stage in (*STAGES, "constants", "resample", "conv", "sample"):
         for node in ast.walk(ast.parse((ROOT / "stss_ref" / f"{stage}.py").read_text())):
             if isinstance(node, ast.Constant) and type(node.value) is float and node.value not in (0, 0.5):
-                assert node.value in known, (stage, node.value)
+                assert node.value in values, (stage, node.value)
 
 
 def test_the_page_has_the_table():

@@ -21,7 +21,7 @@ from stss.port import ReferencePort
 from tests.meta.samples import samples
 
 
-def said(port, stage):
+def explain(port, stage):
     """The diagnosis of the first sample that it gets wrong."""
     judge, body = Judge(port), find_property(f"{stage}.agrees_with_the_reference")
     for case in samples(stage):
@@ -38,35 +38,35 @@ NAMED = ["motion_chain_x_sign", "warp_x_sign", "holes_facing_5", "rrm_filled", "
 @pytest.mark.parametrize("name", NAMED)
 def test_a_planted_mistake_is_named(name):
     mistake = find(name)
-    assert mistake.what in said(mistake.port(), mistake.stage)
+    assert mistake.what in explain(mistake.port(), mistake.stage)
 
 
 def test_what_contains_a_stage_names_its_mistakes():
     mistake = find("history_newest_first")
-    assert mistake.what in said(mistake.port(), "network")
+    assert mistake.what in explain(mistake.port(), "network")
 
 
 @pytest.mark.parametrize("what", ["input", "weights"])
 def test_the_place_of_fewer_bits_is_named(what):
     port = load("planted", *rounded_at("latentEncoder.2", what, half))
-    assert f"half precision at the {what} of latentEncoder.2" in said(port, "erm")
+    assert f"half precision at the {what} of latentEncoder.2" in explain(port, "erm")
 
 
 def test_a_mistake_without_effect_explains_nothing():
     """What is off by less than twice the bound is near to any mistake that changes no number of the case."""
     port = load("planted", returns("warp.warp", lambda result: (result[0] * np.float32(1 + 2.0**-20), result[1])))
-    assert "none of the" in said(port, "warp")
+    assert "none of the" in explain(port, "warp")
 
 
 def test_the_answers_that_are_right_count_too():
     """A mistake that explains the failure is not named if it were wrong where the port is right."""
     case = samples("warp")[0]
     judge = Judge(find("warp_x_sign").port())
-    with pytest.raises(DepartureError) as caught:
+    with pytest.raises(DepartureError) as error:
         judge.check(find_property("warp.agrees_with_the_reference"), case.inputs)
-    assert "to the left" in diagnose(judge, [caught.value.finding])
+    assert "to the left" in diagnose(judge, [error.value.finding])
     judge.answered.append((case, ReferencePort().run("warp", case.inputs)))
-    assert "to the left" not in diagnose(judge, [caught.value.finding])
+    assert "to the left" not in diagnose(judge, [error.value.finding])
 
 
 class Odd(ReferencePort):
@@ -78,12 +78,12 @@ class Odd(ReferencePort):
 
 
 def test_nothing_is_named_that_does_not_fit():
-    assert "looks like none of the" in said(Odd(), "warp")
+    assert "looks like none of the" in explain(Odd(), "warp")
 
 
 def test_no_mistakes_to_compare_with_are_said_in_words(monkeypatch):
     monkeypatch.setattr("conformance.explain.diagnosis._shown_by", lambda stage: ())
-    assert said(Odd(), "warp") == "no mistake of this stage is known that it could look like"
+    assert explain(Odd(), "warp") == "no mistake of this stage is known that it could look like"
 
 
 def test_a_stage_without_right_answers_is_named(monkeypatch):
@@ -96,9 +96,9 @@ def test_a_stage_without_right_answers_is_named(monkeypatch):
 def test_a_right_answer_looks_like_nothing():
     """Where two answers together are wrong, each may be right."""
     judge, case = Judge(Odd()), samples("warp")[0]
-    with pytest.raises(DepartureError) as caught:
+    with pytest.raises(DepartureError) as error:
         judge.check(find_property("warp.agrees_with_the_reference"), case.inputs)
-    assert diagnose(Judge(ReferencePort()), [caught.value.finding]) == ""
+    assert diagnose(Judge(ReferencePort()), [error.value.finding]) == ""
 
 
 STEPS = ((0, 0, 0), (0, 2, 2), (0, 2, 4), (0, 1, 2), (1, 1, 1), (1, 3, 3), (1, 3, 5), (2, 3, 5))
@@ -135,35 +135,35 @@ def test_every_mistake_runs_on_every_kind_of_frame():
             port.run("frame", case.inputs, case.weights)
 
 
-def lost(*_):
+def fail(*_):
     raise AttributeError("no attribute 'shape'")
 
 
 @pytest.mark.parametrize("part", ["diagnose", "first_departure", "terms_at_worst", "confirm"])
 def test_a_failure_outlives_its_explanation(part, monkeypatch, tmp_path):
     """With its numbers, and with what is kept in its folder."""
-    monkeypatch.setattr(f"conformance.explain.explain.{part}", lost)
+    monkeypatch.setattr(f"conformance.explain.explain.{part}", fail)
     (result,) = run_suite(Judge(find("warp_x_sign").port(), Tier("some", 20, 2)), ["warp"], first_only=True)
     assert result.outcome == "failed"
     assert "error / bound" in result.message
     assert "explaining it failed: AttributeError: no attribute 'shape'" in result.message
-    monkeypatch.setattr("conformance.report.failures.draw", lost)
-    kept = keep_failure(tmp_path, result.id, result.record.failure, "stss conform")
-    said = (kept / "README.txt").read_text()
-    assert "drawing it failed: AttributeError" in said
-    assert "--replay" in said
+    monkeypatch.setattr("conformance.report.failures.draw", fail)
+    folder = keep_failure(tmp_path, result.id, result.record.failure, "stss conform")
+    text = (folder / "README.txt").read_text()
+    assert "drawing it failed: AttributeError" in text
+    assert "--replay" in text
 
 
 def test_a_mistake_that_raises_explains_nothing(monkeypatch):
     mistake = find("warp_x_sign")
     monkeypatch.setattr("conformance.explain.diagnosis.of_stage", lambda *_, **__: (mistake,))
-    monkeypatch.setattr("conformance.explain.diagnosis._port", lost)
-    assert "looks like none of the" in said(mistake.port(), "warp")
+    monkeypatch.setattr("conformance.explain.diagnosis._port", fail)
+    assert "looks like none of the" in explain(mistake.port(), "warp")
 
 
 def test_the_judges_own_fault_keeps_its_case(monkeypatch, tmp_path):
     """It is an error, no failure of the port; and its case can be run again."""
-    monkeypatch.setattr("conformance.judging.judge.expect", lost)
+    monkeypatch.setattr("conformance.judging.judge.expect", fail)
     (result,) = run_suite(Judge(ReferencePort(), Tier("some", 20, 2)), ["warp"], first_only=True)
     assert result.outcome == "error"
     assert (keep_failure(tmp_path, result.id, result.record.failure, "stss conform") / "0000" / "in" / "color.npy").exists()

@@ -37,29 +37,29 @@ class Mangled(ReferencePort):
         return super().run(stage, inputs, self._given(weights))
 
     def layers(self, stage, inputs, weights=None):
-        found = super().layers(stage, inputs, self._given(weights))
-        return found if self.only is None else {name: found[name] for name in self.only}
+        layers_of = super().layers(stage, inputs, self._given(weights))
+        return layers_of if self.only is None else {name: layers_of[name] for name in self.only}
 
 
 def words(port, stage="network", sample=0):
     case, judge = samples(stage)[sample], Judge(port)
-    with pytest.raises(DepartureError) as caught:
+    with pytest.raises(DepartureError) as error:
         judge.check(agreement, case)
-    return first_departure(judge, caught.value.finding)
+    return first_departure(judge, error.value.finding)
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_each_layer_is_named_where_the_mistake_is_in_it(name):
-    said = words(Mangled(name))
-    assert said.startswith(f"first departs at layer {name}: error / bound ")
-    assert ("before it" in said) == (name != NAMES[0])
+    message = words(Mangled(name))
+    assert message.startswith(f"first departs at layer {name}: error / bound ")
+    assert ("before it" in message) == (name != NAMES[0])
 
 
 def test_of_few_layers_the_first_behind_the_mistake_is_named():
     few = ["conv1", "down2.downsample", "up1.conv.double_conv.0"]
-    said = words(Mangled("down1.conv2", few))
-    assert said.startswith("first departs at layer down2.downsample: ")
-    assert said.endswith("; conv1 before it is right")
+    message = words(Mangled("down1.conv2", few))
+    assert message.startswith("first departs at layer down2.downsample: ")
+    assert message.endswith("; conv1 before it is right")
 
 
 def test_what_the_network_is_given_comes_first():
@@ -73,7 +73,7 @@ def test_what_lies_behind_all_layers_is_not_one_of_them():
 
 
 @pytest.mark.parametrize(
-    ("stage", "layers", "said"),
+    ("stage", "layers", "message"),
     [
         ("encoder", dict, ""),
         ("network", dict, "it hands over no layers"),
@@ -85,11 +85,11 @@ def test_what_lies_behind_all_layers_is_not_one_of_them():
         ("network", lambda: 1 / 0, "its layers cannot be read: ZeroDivisionError: division by zero"),
     ],
 )
-def test_layers_that_lack_or_are_wrong(stage, layers, said):
+def test_layers_that_lack_or_are_wrong(stage, layers, message):
     port = Mangled("conv1")
     port.layers = lambda *_: layers()
-    assert words(port, stage).startswith(said)
-    assert said or not words(port, stage)
+    assert words(port, stage).startswith(message)
+    assert message or not words(port, stage)
 
 
 def test_the_judge_says_it():
@@ -112,10 +112,10 @@ PROGRAM = [sys.executable, "-m", "stss", "port"]
 def test_a_program_hands_them_over_when_asked():
     case = samples("encoder")[0]
     port = FolderPort(PROGRAM, 60)
-    found = port.layers("encoder", case.inputs, case.weights)
+    layers_of = port.layers("encoder", case.inputs, case.weights)
     want = reference_layers("encoder", case.inputs, case.weights)
-    assert list(found) == list(want)
-    assert all(np.array_equal(found[name], want[name]) for name in want)
+    assert list(layers_of) == list(want)
+    assert all(np.array_equal(layers_of[name], want[name]) for name in want)
 
 
 def test_dump(tmp_path):

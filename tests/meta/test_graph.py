@@ -32,10 +32,12 @@ F32 = Rounding(Arithmetic())
 
 
 def model_of(nodes, inputs, outputs, constants=None, opset=18):
-    given = [helper.make_tensor_value_info(name, FLOAT, shape) for name, shape in inputs.items()]
-    made = [helper.make_tensor_value_info(name, FLOAT, [f"{name}{i}" for i in range(rank)]) for name, rank in outputs.items()]
-    held = [onnx.numpy_helper.from_array(array, name) for name, array in (constants or {}).items()]
-    graph = helper.make_graph(nodes, "made", given, made, held)
+    inputs_info = [helper.make_tensor_value_info(name, FLOAT, shape) for name, shape in inputs.items()]
+    outputs_info = [
+        helper.make_tensor_value_info(name, FLOAT, [f"{name}{i}" for i in range(rank)]) for name, rank in outputs.items()
+    ]
+    tensors = [onnx.numpy_helper.from_array(array, name) for name, array in (constants or {}).items()]
+    graph = helper.make_graph(nodes, "made", inputs_info, outputs_info, tensors)
     return helper.make_model(graph, opset_imports=[helper.make_opsetid("", opset)], ir_version=8)
 
 
@@ -43,12 +45,12 @@ def agrees(op, *arrays, **attributes):
     """One node by ONNX's reference in float32, and by ours within its bound."""
     names = [f"i{k}" if array is not None else "" for k, array in enumerate(arrays)]
     outputs = [f"o{k}" for k in range(attributes.pop("outputs", 1))]
-    held = {name: array for name, array in zip(names, arrays, strict=True) if array is not None}
+    arrays_of = {name: array for name, array in zip(names, arrays, strict=True) if array is not None}
     node = helper.make_node(op, names, outputs, **attributes)
-    want = reference.ReferenceEvaluator(model_of([node], {}, dict.fromkeys(outputs, 1), held)).run(None, {})
+    want = reference.ReferenceEvaluator(model_of([node], {}, dict.fromkeys(outputs, 1), arrays_of)).run(None, {})
     wide = [None if a is None else a.astype(np.float64) if a.dtype.kind == "f" else a for a in arrays]
-    held = {k: onnx.numpy_helper.to_array(v) if isinstance(v, onnx.TensorProto) else v for k, v in attributes.items()}
-    ours = Node(op, held, tuple(names), tuple(outputs), 18)
+    arrays_of = {k: onnx.numpy_helper.to_array(v) if isinstance(v, onnx.TensorProto) else v for k, v in attributes.items()}
+    ours = Node(op, arrays_of, tuple(names), tuple(outputs), 18)
     for name, right, got in zip(outputs, compute(ours, wide, F32), want, strict=True):
         assert compare(name, ours, wide, np.asarray(got), right).ratio <= 1, (op, attributes)
 
@@ -218,9 +220,9 @@ class NumpyPort:
         values = {**self.model.constants, **inputs}
         for node in self.model.nodes:
             wide = [None if not n else values[n].astype(float) if values[n].dtype.kind == "f" else values[n] for n in node.inputs]
-            made = self.plant(node, wide, self) if self.tensor in node.outputs else plain(node, wide)
+            results = self.plant(node, wide, self) if self.tensor in node.outputs else plain(node, wide)
             values |= {
-                name: x.astype(np.float32) if x.dtype.kind == "f" else x for name, x in zip(node.outputs, made, strict=False)
+                name: x.astype(np.float32) if x.dtype.kind == "f" else x for name, x in zip(node.outputs, results, strict=False)
             }
         return {name: values[name] for name in self.model.tensors}
 
@@ -308,11 +310,11 @@ def test_a_right_port_passes(model):
 
 
 @pytest.mark.parametrize(
-    ("unit", "said"), [(2.0**-11, "half or TF32: operands rounded"), (2.0**-8, "bfloat16: operands rounded")]
+    ("unit", "words"), [(2.0**-11, "half or TF32: operands rounded"), (2.0**-8, "bfloat16: operands rounded")]
 )
-def test_the_precision_of_one_layer_is_named(model, unit, said):
+def test_the_precision_of_one_layer_is_named(model, unit, words):
     plant = inputs(i0=lambda x: round_to(x, unit), i1=lambda w: round_to(w, unit))
-    assert said in " ".join(judge_port(model, NumpyPort(model, "conv", plant), F32).wrong)
+    assert words in " ".join(judge_port(model, NumpyPort(model, "conv", plant), F32).wrong)
 
 
 def test_outputs_alone_are_judged_from_the_inputs(model):
@@ -342,10 +344,10 @@ def test_engines_in_float32_pass(model, engine, tmp_path):
     ]
     done = CliRunner().invoke(conform, words)
     assert done.exit_code == 0, done.output
-    found = json.loads((tmp_path / "a.json").read_text())
+    data = json.loads((tmp_path / "a.json").read_text())
     schema = json.loads((Path(report.__file__).parents[1] / "report" / "schemas" / "graph-results.schema.json").read_text())
-    jsonschema.validate(found, schema)
-    assert found["passed"]
+    jsonschema.validate(data, schema)
+    assert data["passed"]
     assert 'failures="0"' in (tmp_path / "a.xml").read_text()
     assert "passes" in (tmp_path / "a.html").read_text()
 
@@ -377,15 +379,15 @@ def test_what_is_not_known_is_listed_and_the_part_before_it_judged(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "words_of"),
     [
         (["--port", "onnxruntime"], "not an ONNX model"), (["--port", "nowhere:port"], "not an ONNX model"),
     ],
 )  # fmt: skip
-def test_bad_files_are_one_line(words, said, tmp_path):
+def test_bad_files_are_one_line(words, words_of, tmp_path):
     (tmp_path / "bad.onnx").write_bytes(b"\x08\x01\x12junk")
     done = CliRunner().invoke(conform, ["--onnx", str(tmp_path / "bad.onnx"), *words])
-    assert said in str(done.exception)
+    assert words_of in str(done.exception)
     assert "\n" not in str(done.exception)
 
 
@@ -396,7 +398,7 @@ def test_another_opset_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("run", "said"),
+    ("run", "words"),
     [
         (lambda inputs: {"sum": np.zeros((1, 2), np.float32), "length": np.zeros((1, 1, 8, 10), np.float32)}, "expected shape"),
         (lambda inputs: {}, "output sum is missing"), (lambda inputs: 1 / 0, "ZeroDivisionError"),
@@ -406,10 +408,10 @@ def test_another_opset_is_refused(tmp_path):
         (lambda inputs: {"sum": inputs["x"], "length": inputs["x"], "tanh": "text"}, "tanh: expected an array of numbers, got str"),
     ],
 )  # fmt: skip
-def test_a_port_that_answers_otherwise_is_said(model, run, said):
+def test_a_port_that_answers_otherwise_is_said(model, run, words):
     port = NumpyPort(model)
     port.run = run
-    assert said in " ".join(judge_port(model, port, F32).wrong)
+    assert words in " ".join(judge_port(model, port, F32).wrong)
 
 
 def test_nan_is_wrong(model):
@@ -506,7 +508,7 @@ def test_what_a_port_keeps_from_call_to_call_fails_again(one_node, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (["--stages", "warp"], "--stages: not with --onnx"), (["--repeat", "2"], "--repeat: not with --onnx"),
         (["--fail-fast"], "--fail-fast: not with --onnx"), (["--replay", "nowhere"], "expected the folder of one failure"),
@@ -514,10 +516,10 @@ def test_what_a_port_keeps_from_call_to_call_fails_again(one_node, tmp_path):
         (["--input", "x=a.npy"], "expected float32 (1, 2, 4, 6), found float32 (3,)"), (["--shape", "n=0"], "expected NAME=N"),
     ],
 )  # fmt: skip
-def test_options_that_do_not_fit_are_one_line(one_node, tmp_path, words, said):
+def test_options_that_do_not_fit_are_one_line(one_node, tmp_path, words, message):
     np.save(tmp_path / "a.npy", np.zeros(3, np.float32))
     done = one_node(1, *words)
-    assert said in str(done.exception)
+    assert message in str(done.exception)
     assert "\n" not in str(done.exception)
 
 
@@ -529,14 +531,14 @@ def test_a_program_that_changes_its_inputs_or_fails_is_said(tmp_path):
     """What `Program` looks at for ports of STSS it looks at here."""
     onnx.save(model_of([helper.make_node("Relu", ["x"], ["y"])], {"x": [3]}, {"y": 1}), tmp_path / "m.onnx")
     model = load_model(tmp_path / "m.onnx")
-    for lines, said in (
+    for lines, words in (
         ("import shutil; shutil.rmtree(case / 'in')", "a program leaves its inputs as they are"),
         ("print('no device', file=sys.stderr); sys.exit(3)", "no device"),
         ("import time; time.sleep(60)", "stopped after 2 s"),
     ):
         (tmp_path / "port.py").write_text(f"import sys, pathlib\ncase = pathlib.Path(sys.argv[1]) / '0000'\n{lines}\n")
         port = load_graph_port(model, None, f"{sys.executable} {tmp_path / 'port.py'}", 2)
-        assert said in " ".join(judge_port(model, port, F32).wrong)
+        assert words in " ".join(judge_port(model, port, F32).wrong)
 
 
 def test_a_ports_source_is_not_replaced_by_a_report(tmp_path, monkeypatch):

@@ -29,8 +29,8 @@ def tried(stage, *, large):
     if not large:
         return samples(stage)
     judge = Judge(ReferencePort())
-    made = [make(np.random.default_rng(0)) for make in large_inputs(stage, TIERS["quick"].large)]
-    return [judge.make_case(stage, *(case if STAGES[stage].weights else (case,))) for case in made]
+    cases_made = [make(np.random.default_rng(0)) for make in large_inputs(stage, TIERS["quick"].large)]
+    return [judge.make_case(stage, *(case if STAGES[stage].weights else (case,))) for case in cases_made]
 
 
 @cache
@@ -48,15 +48,15 @@ def is_found_out(port, stage, *, bits, large=False):
 
     Everything it gives must fit the table of stages: a fault is to be found by its numbers, not by a crash.
     """
-    found = False
+    is_found = False
     for case, (exact, rounded) in zip(tried(stage, large=large), truth(stage, large=large), strict=True):
         got = port.run(stage, case.inputs, case.weights)
         check_outputs(stage, got, check_inputs(stage, case.inputs))
-        found |= departs(got, rounded, None) if bits else departs(got, exact, "stage.cl")
+        is_found |= departs(got, rounded, None) if bits else departs(got, exact, "stage.cl")
         # Only where indices are computed can one sample crash and another not; the others take long.
-        if found and case.weights is not None:
+        if is_found and case.weights is not None:
             break
-    return found
+    return is_found
 
 
 @pytest.mark.parametrize("mutant", MISTAKES, ids=by_id)

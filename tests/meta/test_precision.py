@@ -33,9 +33,9 @@ def test_half_at_one_place_is_found_without_luck(stage, layer, what):
 @pytest.mark.parametrize(("name", "stage"), [("in_order", "frame"), ("fma", "history"), ("half", "erm")])
 def test_no_right_port_comes_near(name, stage):
     """Those that come nearest."""
-    found = {output: ratio for output, ratio in worst(others.port(name), stage).items() if output.endswith(RMS)}
-    assert found
-    assert 0 < max(found.values()) < NEAR
+    ratios = {output: ratio for output, ratio in worst(others.port(name), stage).items() if output.endswith(RMS)}
+    assert ratios
+    assert 0 < max(ratios.values()) < NEAR
 
 
 def test_the_limit_is_of_all_numbers_together():

@@ -16,7 +16,7 @@ from conformance.suite.run_suite import run_suite
 class Program:
     """In the place of a FolderPort: counts its starts, and answers ``change``d."""
 
-    name, dtype, kept = "program", "float32", None
+    name, dtype, folder = "program", "float32", None
 
     def __init__(self, change=lambda job, number, outputs: outputs):
         self.starts, self._change = [], change
@@ -47,8 +47,8 @@ def test_the_same_twice_is_asked_twice():
     """One wrong bit at the second time shows, in the program's own second answer."""
 
     def second(job, number, outputs):
-        seen = [case.inputs["color"].tobytes() + case.inputs["motion"].tobytes() for case in job[:number]]
-        again = job[number].inputs["color"].tobytes() + job[number].inputs["motion"].tobytes() in seen
+        digests = [case.inputs["color"].tobytes() + case.inputs["motion"].tobytes() for case in job[:number]]
+        again = job[number].inputs["color"].tobytes() + job[number].inputs["motion"].tobytes() in digests
         return {**outputs, "warped": np.nextafter(outputs["warped"], np.float32(9))} if again else outputs
 
     failed = {result.id for result in judged(Program(second), "warp") if result.outcome == "failed"}
@@ -88,10 +88,10 @@ def test_the_case_at_which_a_job_failed_is_found_at_one_more_start():
 
 def test_what_is_asked_together_is_computed_together():
     """Calls of a sequence stay one after the other; what is asked again comes after all others."""
-    asked = []
+    questions = []
 
     def note(job, number, outputs):
-        asked.append(job[number].inputs["color"].shape[1])
+        questions.append(job[number].inputs["color"].shape[1])
         return outputs
 
     def body(judge, columns):
@@ -101,7 +101,7 @@ def test_what_is_asked_together_is_computed_together():
     program = Program(note)
     Judge(program).check(body, 10, 20)
     assert program.starts == [6, 2]
-    assert asked == [10, 11, 20, 21, 10, 20, 15, 25]
+    assert questions == [10, 11, 20, 21, 10, 20, 15, 25]
 
 
 def test_making_a_case_smaller_ends_in_time_and_says_so(monkeypatch):
@@ -115,12 +115,12 @@ def test_making_a_case_smaller_ends_in_time_and_says_so(monkeypatch):
             raise PortError("no frames of 5 columns", number)
         return outputs
 
-    program, told = Program(wrong), []
+    program, messages = Program(wrong), []
     judge = Judge(program)
-    judge.tell = told.append
+    judge.tell = messages.append
     results = run_suite(judge, ["warp"], first_only=True)
     assert "no frames of 5 columns" in results[-1].message
-    assert [finding.message for finding in told] == ["warp: no frames of 5 columns"]
+    assert [finding.message for finding in messages] == ["warp: no frames of 5 columns"]
     assert len(program.starts) < 30
 
 

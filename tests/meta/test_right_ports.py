@@ -33,24 +33,24 @@ DIFFERENT = {
 
 
 @cache
-def made(name):
+def port_of(name):
     return others.port(name)
 
 
 @cache
-def given(stage, dtype):
+def samples_of(stage, dtype):
     """A stage's samples as a port of this dtype is given them, and what the reference makes of them in float64 and float32."""
     with np.errstate(all="ignore"):
         # Loud weights amplify every rounding.
         return [
             (inputs, weights, reference(stage, exact(inputs), weights), reference(stage, inputs, weights))
-            for inputs, weights in [(held(case.inputs, dtype), case.weights) for case in samples(stage)]
+            for inputs, weights in [(as_stored(case.inputs, dtype), case.weights) for case in samples(stage)]
             if weights is not weights_of("loud")
             and all(np.isfinite(a).all() for n, a in inputs.items() if n.startswith("stencil"))  # half has no 65,536
         ]
 
 
-def held(inputs, dtype):
+def as_stored(inputs, dtype):
     return {name: others.to_half(a) if dtype == "float16" and a.dtype.kind == "f" else a for name, a in inputs.items()}
 
 
@@ -58,9 +58,9 @@ def held(inputs, dtype):
 @pytest.mark.parametrize("name", DIFFERENT)
 def test_each_is_near_the_reference(name, stage):
     """Within what is asked of the OpenCL backend; with other bits where they ought to be others, and only there."""
-    judged = made(name)
+    judged = port_of(name)
     different = False
-    for inputs, weights, truth, rounded in given(stage, judged.dtype):
+    for inputs, weights, truth, rounded in samples_of(stage, judged.dtype):
         got = judged.run(stage, inputs, weights)
         check_outputs(stage, got, check_inputs(stage, inputs))
         assert not departs(got, truth, ROWS[judged.dtype])

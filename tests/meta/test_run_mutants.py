@@ -18,9 +18,9 @@ NAMES.append("frame_hole_test_ignored")  # the kept weights say which test
 def test_found_out(name, tmp_path):
     """And from the folder that is kept the mutant fails again, while a mended port, the reference, passes."""
     (result,) = failed(name)
-    kept = keep_failure(tmp_path, result.id, result.record.failure, "stss conform")
-    assert replay(ReferencePort(), kept).failure is None
-    assert replay(find(name).port(), kept).failure is not None
+    folder = keep_failure(tmp_path, result.id, result.record.failure, "stss conform")
+    assert replay(ReferencePort(), folder).failure is None
+    assert replay(find(name).port(), folder).failure is not None
 
 
 def test_a_kept_failure_replaces_one_of_an_earlier_run_alone(tmp_path, capsys):

@@ -109,9 +109,9 @@ def test_the_table_of_stages_is_that_of_the_judge():
         }
         for s in STAGES.values()
     }
-    found = json.loads((FOLDER / "stages.json").read_text())
-    assert found == {"format": 1, "specification": stss_ref.SPEC_VERSION, "stages": stages}
-    assert list(found["stages"]) == list(STAGES)
+    data = json.loads((FOLDER / "stages.json").read_text())
+    assert data == {"format": 1, "specification": stss_ref.SPEC_VERSION, "stages": stages}
+    assert list(data["stages"]) == list(STAGES)
 
 
 def test_the_schemas_know_all_stages():
@@ -121,7 +121,7 @@ def test_the_schemas_know_all_stages():
 
 
 @pytest.mark.parametrize(
-    ("entry", "said"),
+    ("entry", "words"),
     [
         ({}, ""),
         ({"until": "soon"}, "until: expected a day like 2026-12-31, got 'soon'"),
@@ -134,7 +134,7 @@ def test_the_schemas_know_all_stages():
         ({"more": "x"}, "expected test, until, reason, got 'more' as well"),
     ],
 )
-def test_known_failures_are_read_as_their_schema_says(tmp_path, entry, said):
+def test_known_failures_are_read_as_their_schema_says(tmp_path, entry, words):
     text = {"format": 1, "failures": [{**KNOWN["failures"][0], **entry}]}
     (tmp_path / "known").write_text(json.dumps(text))
     message = ""
@@ -142,7 +142,7 @@ def test_known_failures_are_read_as_their_schema_says(tmp_path, entry, said):
         read_known(tmp_path / "known")
     except KnownFailuresError as error:
         message = str(error)
-    assert said in message
+    assert words in message
     assert bool(message) == bool(faults(text, schema("known-failures"))) == bool(entry)
 
 

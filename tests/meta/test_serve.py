@@ -108,9 +108,9 @@ def test_what_goes_wrong_is_told_and_the_next_job_has_a_new_process(program, tmp
     monkeypatch.setattr(served, "MOST_SAID", 1 << 20)
     port = program(lines, timeout=3 if "sleep" in lines else 20)
     port.run_many([case()])
-    with pytest.raises(PortError, match=words) as caught:
+    with pytest.raises(PortError, match=words) as error:
         port.run_many([case()])
-    assert "its job is kept" in str(caught.value)
+    assert "its job is kept" in str(error.value)
     assert "job 1" in (port.kept / "stderr.txt").read_text()[:99]
     port.run_many([case(2)])
     again = 1 if "missing" in words else 2

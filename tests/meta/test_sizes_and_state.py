@@ -184,9 +184,9 @@ def test_calls_that_are_alike_have_other_answers(stage):
     judge = Judge(ReferencePort())
     (_, inputs, weights), *others = alike_calls(stage)(np.random.default_rng(0))
     first = reference(stage, judge.exactly(inputs, stage), weights)
-    for what, other, given in others:
-        truth = reference(stage, judge.exactly(other, stage), given)
-        right = judge.right(stage, other, given, truth) if what.startswith(("weights", "normal", "base_color")) else None
+    for what, other, tensors in others:
+        truth = reference(stage, judge.exactly(other, stage), tensors)
+        right = judge.right(stage, other, tensors, truth) if what.startswith(("weights", "normal", "base_color")) else None
         if right is None:
             assert max(np.nanmax(np.abs(truth[name].astype(float) - first[name])) for name in truth) > 0.001, what
         else:
@@ -245,9 +245,9 @@ def test_one_in_50_depends_on_nothing_and_is_counted():
     for seed in range(4):
         judge = Judge(Chance(50, seed), Tier("some", 200, 2))
         failed = run_suite(judge, ["warp"], only="agrees_with")[0]
-        found = re.search(r"differs from run to run: (\d+) of 20, alone", failed.message)
-        assert found is not None or "depends" not in failed.message
-        counted.append(int(found[1]) if found else -1)
+        match = re.search(r"differs from run to run: (\d+) of 20, alone", failed.message)
+        assert match is not None or "depends" not in failed.message
+        counted.append(int(match[1]) if match else -1)
     assert max(counted) > 0, counted
 
 
@@ -268,6 +268,6 @@ def test_a_program_that_remembers_is_kept_with_the_case_that_it_needs(tmp_path):
     judge = Judge(port, Tier("some", 60, 5))
     failed = next(r for r in run_suite(judge, ["rrm"], first_only=True) if r.outcome == "failed")
     assert "depends on the" in failed.message
-    kept = keep_failure(tmp_path, failed.id, failed.record.failure, "stss conform")
-    assert replay(port, kept).failure is not None
-    assert replay(ReferencePort(), kept).failure is None
+    folder = keep_failure(tmp_path, failed.id, failed.record.failure, "stss conform")
+    assert replay(port, folder).failure is not None
+    assert replay(ReferencePort(), folder).failure is None

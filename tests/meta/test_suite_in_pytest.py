@@ -39,19 +39,19 @@ def here(tmp_path):
 
 def test_a_checkout_judges_a_port(here):
     """A wrong test fails with the judge's words and the command that runs it again; a known failure is excused; pytest writes JUnit."""
-    known = [{"test": "rrm.large_frames_agree_with_the_reference", "until": "2999-01-01", "reason": "https://example.org/1"}]
-    (here / "known.json").write_text(json.dumps({"format": 1, "failures": known}))
-    chosen = ["--port", "my_port:Port", "-k", "rrm or warp and channels", "--junitxml", "junit.xml"]
-    done = run(here, FOLDER, *chosen)
+    entries = [{"test": "rrm.large_frames_agree_with_the_reference", "until": "2999-01-01", "reason": "https://example.org/1"}]
+    (here / "known.json").write_text(json.dumps({"format": 1, "failures": entries}))
+    options = ["--port", "my_port:Port", "-k", "rrm or warp and channels", "--junitxml", "junit.xml"]
+    done = run(here, FOLDER, *options)
     assert done.returncode == 1, done.stdout + done.stderr
     assert "1 failed, 2 passed, 1 skipped" in done.stdout
     assert "rrm.valid: wrong at" in done.stdout
-    kept = "conform-failures/rrm.large_frames_agree_with_the_reference"
-    assert f"stss conform --port my_port:Port --replay {kept}" in done.stdout
-    assert (here / kept / "README.txt").exists()
+    folder = "conform-failures/rrm.large_frames_agree_with_the_reference"
+    assert f"stss conform --port my_port:Port --replay {folder}" in done.stdout
+    assert (here / folder / "README.txt").exists()
     suite = ElementTree.parse(here / "junit.xml").getroot()[0]
     assert [suite.get(name) for name in ("tests", "failures", "skipped")] == ["4", "1", "1"]
-    done = run(here, INSTALLED, *chosen, "--known-failures", "known.json")
+    done = run(here, INSTALLED, *options, "--known-failures", "known.json")
     assert done.returncode == 0, done.stdout + done.stderr
     assert "1 xfailed" in done.stdout
 

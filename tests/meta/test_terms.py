@@ -39,50 +39,50 @@ def test_warp():
     color = np.arange(6.0).reshape(2, 3, 1)
     motion = np.zeros((2, 3, 2))
     motion[1, 2] = -1.25, -0.5
-    found = terms("warp", {"color": color, "motion": motion}, "warped", (1, 2))
-    assert found["motion"] == "(-1.25, -0.5)"
-    assert found["leads to"] == "column 0 + 0.75, row 0 + 0.5"
-    assert found["inside"] == "1"
-    assert found["row 0, columns 0 and 1"] == "(0) and (1)"
-    assert found["row 1, columns 0 and 1"] == "(3) and (4)"
-    assert found["fractions across, down"] == "(0.75, 0.5)"
-    assert found["read between them"] == found["the test expects"] == "(2.25)"
-    assert found["the port gives"] == "(3.25)"
+    lines = terms("warp", {"color": color, "motion": motion}, "warped", (1, 2))
+    assert lines["motion"] == "(-1.25, -0.5)"
+    assert lines["leads to"] == "column 0 + 0.75, row 0 + 0.5"
+    assert lines["inside"] == "1"
+    assert lines["row 0, columns 0 and 1"] == "(0) and (1)"
+    assert lines["row 1, columns 0 and 1"] == "(3) and (4)"
+    assert lines["fractions across, down"] == "(0.75, 0.5)"
+    assert lines["read between them"] == lines["the test expects"] == "(2.25)"
+    assert lines["the port gives"] == "(3.25)"
 
 
 def test_motion_chain():
     motions = np.zeros((2, 3, 3, 2))
     motions[0, 0, 0] = 1, 1
     motions[1, 1:, 1:] = [[[1, 0], [0, 2]], [[0, 1], [1, 1]]]
-    found = terms("motion_chain", {"motions": motions}, "motion", (0, 0))
-    assert found["step 1: leads to"] == "column 1 + 0, row 1 + 0"
-    assert found["step 1: motions at rows 1, 2"] == "(1, 0) (0, 2) (0, 1) (1, 1)"
-    assert found["step 1: longest, 0 if one is 0"] == "(0, 2)"
-    assert found["step 1: chained"] == found["the test expects"] == "(1, 3)"
+    lines = terms("motion_chain", {"motions": motions}, "motion", (0, 0))
+    assert lines["step 1: leads to"] == "column 1 + 0, row 1 + 0"
+    assert lines["step 1: motions at rows 1, 2"] == "(1, 0) (0, 2) (0, 1) (1, 1)"
+    assert lines["step 1: longest, 0 if one is 0"] == "(0, 2)"
+    assert lines["step 1: chained"] == lines["the test expects"] == "(1, 3)"
 
 
 def test_holes_of_what_stands():
     inputs = still(1, 2)
     inputs["position_previous"][0, 0] = 3, 4, 0
     inputs["position"][0, 1] = 8, 0, 0
-    found = terms("holes", inputs, "valid", (0, 0))
-    assert found["offset read between them"] == "(3, 4, 0)"
-    assert (found["its length"], found["1.5 footprints, a hole unless <="]) == ("5", "12")
-    found = terms("holes", {**inputs, "paper": np.ones(1, np.int32)}, "valid", (0, 0))
+    lines = terms("holes", inputs, "valid", (0, 0))
+    assert lines["offset read between them"] == "(3, 4, 0)"
+    assert (lines["its length"], lines["1.5 footprints, a hole unless <="]) == ("5", "12")
+    lines = terms("holes", {**inputs, "paper": np.ones(1, np.int32)}, "valid", (0, 0))
     # A frame of one row: both rows of taps are that one.
-    assert found["distances to the four"] == "(5, 0, 5, 0)"
-    assert found["bias, a hole unless all <="] == str(7.5 * 0.5 + 45 * 0.5 + 50 * 0.25)
-    assert not any(name.startswith("cosine") for name in found)
+    assert lines["distances to the four"] == "(5, 0, 5, 0)"
+    assert lines["bias, a hole unless all <="] == str(7.5 * 0.5 + 45 * 0.5 + 50 * 0.25)
+    assert not any(name.startswith("cosine") for name in lines)
 
 
 def test_holes_of_what_moves():
     inputs = still(1, 2)
     inputs["stencil_previous"][:], inputs["stencil"][:] = 2, 2.5
     inputs["normal_previous"][:], inputs["normal"][:] = (0, 0, 1), (0, 0.6, 0.8)
-    found = terms("holes", inputs, "valid", (0, 1))
-    assert found["3 |difference|, a hole if > 1"] == "1.5"
-    assert found["cosine, a hole if < 0.98"].startswith("0.79999")
-    assert "distances to the four" not in found
+    lines = terms("holes", inputs, "valid", (0, 1))
+    assert lines["3 |difference|, a hole if > 1"] == "1.5"
+    assert lines["cosine, a hole if < 0.98"].startswith("0.79999")
+    assert "distances to the four" not in lines
 
 
 def test_occlusion_warp():
@@ -93,17 +93,17 @@ def test_occlusion_warp():
         "color": np.arange(9.0).reshape(1, 3, 3), "warped": np.zeros((1, 3, 3)), "motion": motion,
         "depth": [[0.5, 0.5, 0.25]], "valid": np.zeros((1, 3), np.uint8),
     }  # fmt: skip
-    found = terms("occlusion_warp", inputs, "occlusion_motion", (0, 1))
-    assert found["looks up what was splatted at"] == "row 0, column 1"
-    assert found["written there by, and stays"] == "row 0, column 2, depth 0.25, motion (-1, 0)"
-    assert found["occlusion motion"] == "(-1, 0)"
-    assert found["from this pixel that leads to"] == "column 0 + 0, row 0 + 0"
+    lines = terms("occlusion_warp", inputs, "occlusion_motion", (0, 1))
+    assert lines["looks up what was splatted at"] == "row 0, column 1"
+    assert lines["written there by, and stays"] == "row 0, column 2, depth 0.25, motion (-1, 0)"
+    assert lines["occlusion motion"] == "(-1, 0)"
+    assert lines["from this pixel that leads to"] == "column 0 + 0, row 0 + 0"
 
 
 def test_lost_motion_is_said_to_be():
     motion = np.full((1, 1, 2), np.nan)
-    found = terms("warp", {"color": np.ones((1, 1, 1)), "motion": motion}, "inside", (0, 0))
-    assert found["leads to"].startswith("nowhere: not finite")
+    lines = terms("warp", {"color": np.ones((1, 1, 1)), "motion": motion}, "inside", (0, 0))
+    assert lines["leads to"].startswith("nowhere: not finite")
 
 
 def test_a_comparison_of_two_answers_says_so():
@@ -116,10 +116,10 @@ def test_a_comparison_of_two_answers_says_so():
 def test_every_image_stage_shows_its_terms(name):
     mistake = find(name)
     results = run_suite(Judge(mistake.port(), Tier("some", 60, 3)), [mistake.stage], first_only=True)
-    shown = results[-1].record.failure.finding.terms
+    lines = results[-1].record.failure.finding.terms
     assert mistake.stage in TERMS
-    assert shown[0].startswith("at row ")
-    assert {"the port gives", "the test expects"} <= {line.strip().split("  ")[0] for line in shown[1:]}
+    assert lines[0].startswith("at row ")
+    assert {"the port gives", "the test expects"} <= {line.strip().split("  ")[0] for line in lines[1:]}
 
 
 def test_the_networks_stages_show_none():

@@ -26,8 +26,8 @@ def header(data):
 
 
 def test_the_library_reads_them(tmp_path):
-    for given in SETS:
-        weights = replace(given, second_color="detail", hole_test="paper")
+    for own in SETS:
+        weights = replace(own, second_color="detail", hole_test="paper")
         read = read_weights(serialise(weights), tmp_path)
         assert (read.second_color, read.hole_test) == ("detail", "paper")
         assert all(np.array_equal(read[name], weights[name]) for name in TENSORS)
@@ -36,16 +36,16 @@ def test_the_library_reads_them(tmp_path):
 
 def test_no_two_are_laid_out_alike():
     """Metadata first, last and between; tensors, entries and what is in one in any order; more spaces behind, or none."""
-    texts, said = zip(*(header(serialise(weights)) for weights in SETS), strict=True)
-    places = {[*names].index("__metadata__") for names in said}
+    texts, headers = zip(*(header(serialise(weights)) for weights in SETS), strict=True)
+    places = {[*names].index("__metadata__") for names in headers}
     assert {0, len(TENSORS)} < places
-    assert len({tuple(names) for names in said}) == len(SETS)
-    stored = [sorted(TENSORS, key=lambda name, names=names: names[name]["data_offsets"]) for names in said]
-    assert len({tuple(names) for names in stored}) == len(SETS)
-    assert len({tuple(names["outc.bias"]) for names in said}) > 2
+    assert len({tuple(names) for names in headers}) == len(SETS)
+    orders = [sorted(TENSORS, key=lambda name, names=names: names[name]["data_offsets"]) for names in headers]
+    assert len({tuple(names) for names in orders}) == len(SETS)
+    assert len({tuple(names["outc.bias"]) for names in headers}) > 2
     assert {len(text) % 8 for text in texts} == {0}
     assert len({len(text) - len(text.rstrip()) for text in texts}) > 3
-    assert {len(names["__metadata__"]) for names in said} == {1, 2}
+    assert {len(names["__metadata__"]) for names in headers} == {1, 2}
 
 
 class InOrder(ReferencePort):

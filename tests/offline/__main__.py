@@ -24,9 +24,9 @@ TITLES = ("kernel", "options", "registers", "stack", "spilled", "local", "over b
 def main():
     parser = argparse.ArgumentParser(prog="python -m tests.offline", description=__doc__)
     parser.add_argument("targets", nargs="*", default=TARGETS, metavar="TARGET", help=f"default: {' '.join(TARGETS)}")
-    given = parser.parse_args()
+    options = parser.parse_args()
     wrong, examined = 0, []
-    for target in given.targets:
+    for target in options.targets:
         try:
             require(target)
         except MissingError as error:
@@ -44,12 +44,12 @@ def examine(target):
     with tempfile.TemporaryDirectory() as folder:
         for program in programs(row_of(target)):
             try:
-                found = compiled(source(program.file), program.options, program.kernels, target, Path(folder))
+                results = compiled(source(program.file), program.options, program.kernels, target, Path(folder))
             except CompileError as error:
                 wrong += 1
                 table.add_row(program.file, program.label, *4 * [""], str(error))
                 continue
-            for kernel, code in found.items():
+            for kernel, code in results.items():
                 over = faults(kernel, code, target)
                 wrong += bool(over)
                 table.add_row(kernel, program.label, *map(str, code), "; ".join(over))

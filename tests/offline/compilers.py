@@ -49,12 +49,12 @@ class Compiled(NamedTuple):
 def clang() -> str:
     """The newest installed clang."""
     names = [os.environ.get("CLANG", ""), *(f"clang-{version}" for version in range(OLDEST + 8, OLDEST - 1, -1))]
-    found = next((path for name in names if name and (path := shutil.which(name))), None)
-    if found is None:
+    program = next((path for name in names if name and (path := shutil.which(name))), None)
+    if program is None:
         raise MissingError(f"clang-{OLDEST} or newer: apt-get install clang-{OLDEST}, or set CLANG")
     if not (BUILTINS / SIGNATURE["gfx"][2]).exists():
         raise MissingError(f"libclc in {BUILTINS}: apt-get install libclc-{OLDEST}, or set LIBCLC")
-    return found
+    return program
 
 
 @cache
@@ -62,8 +62,8 @@ def ptxas() -> str:
     """NVIDIA's assembler, of its wheel or on the path."""
     spec = importlib.util.find_spec("nvidia")
     places = spec.submodule_search_locations or () if spec else ()
-    found = [str(path) for place in places for path in sorted(Path(place).glob("*/bin/ptxas"), reverse=True)]
-    if path := next(iter(found), None) or shutil.which("ptxas"):
+    programs = [str(path) for place in places for path in sorted(Path(place).glob("*/bin/ptxas"), reverse=True)]
+    if path := next(iter(programs), None) or shutil.which("ptxas"):
         return path
     raise MissingError("ptxas: pip install nvidia-cuda-nvcc")
 
@@ -102,7 +102,7 @@ def compiled(source: str, options: Sequence[str], kernels: Sequence[str], target
     text, assembly = folder / "k.cl", folder / "k.s"
     text.write_text((SQUARE_ROOT if target.startswith("sm_") else "") + source, encoding="utf-8")
     more = ["-finclude-default-header", "-mlink-builtin-bitcode", str(BUILTINS / builtins)]
-    told = _run(
+    output = _run(
         [
             clang(), "-x", "cl", triple, f"{processor}{target}", "-nogpulib", "-O3", *options, "-w",
             *(part for option in more for part in ("-Xclang", option)),
@@ -111,18 +111,18 @@ def compiled(source: str, options: Sequence[str], kernels: Sequence[str], target
     )  # fmt: skip
     if target.startswith("sm_"):
         return _nvidia(assembly, kernels, target, folder)
-    return {kernel: _amd(told, kernel) for kernel in kernels}
+    return {kernel: _amd(output, kernel) for kernel in kernels}
 
 
 def _nvidia(assembly: Path, kernels: Sequence[str], target: str, folder: Path) -> dict[str, Compiled]:
-    told = _run([ptxas(), f"-arch={target}", "-v", str(assembly), "-o", str(folder / "k.cubin")])
-    parts = {kernel: told.split(f"entry function '{kernel}'", 1)[-1].split("Compile time", 1)[0] for kernel in kernels}
+    output = _run([ptxas(), f"-arch={target}", "-v", str(assembly), "-o", str(folder / "k.cubin")])
+    parts = {kernel: output.split(f"entry function '{kernel}'", 1)[-1].split("Compile time", 1)[0] for kernel in kernels}
     words = r"Used (\d+) registers", r"(\d+) bytes stack frame", r"(\d+) bytes spill stores", r"(\d+) bytes smem"
     return {kernel: Compiled(*(_number(pattern, part) for pattern in words)) for kernel, part in parts.items()}
 
 
-def _amd(told: str, kernel: str) -> Compiled:
-    part = told.split(f"Function Name: {kernel} ", 1)[-1].split("Function Name:", 1)[0]
+def _amd(output: str, kernel: str) -> Compiled:
+    part = output.split(f"Function Name: {kernel} ", 1)[-1].split("Function Name:", 1)[0]
     words = "VGPRs", r"ScratchSize \[bytes/lane\]", "VGPRs Spill", r"LDS Size \[bytes/block\]"
     return Compiled(*(_number(rf"{name}: (\d+)", part) for name in words))
 
@@ -130,17 +130,17 @@ def _amd(told: str, kernel: str) -> Compiled:
 def _intel(source: str, options: Sequence[str], kernels: Sequence[str], target: str, folder: Path) -> dict[str, Compiled]:
     text, listings = folder / "k.cl", folder / "listings"
     text.write_text(source, encoding="utf-8")
-    told = " ".join([*options, *MAKERS_OPTIONS["intel"].split()])
+    options_text = " ".join([*options, *MAKERS_OPTIONS["intel"].split()])
     shutil.rmtree(listings, ignore_errors=True)
     listings.mkdir()
     _run(
-        [ocloc(), "compile", "-file", str(text), "-device", target, "-out_dir", str(folder), "-options", told],
+        [ocloc(), "compile", "-file", str(text), "-device", target, "-out_dir", str(folder), "-options", options_text],
         {"IGC_ShaderDumpEnable": "1", "IGC_DumpToCustomDir": f"{listings}/"},
     )
-    found = intel_kernels(listings)
-    if missing := [kernel for kernel in kernels if kernel not in found]:
+    usage = intel_kernels(listings)
+    if missing := [kernel for kernel in kernels if kernel not in usage]:
         raise CompileError(f"ocloc: no listing of {', '.join(missing)}")
-    return {kernel: found[kernel] for kernel in kernels}
+    return {kernel: usage[kernel] for kernel in kernels}
 
 
 def intel_kernels(listings: Path) -> dict[str, Compiled]:
@@ -148,18 +148,18 @@ def intel_kernels(listings: Path) -> dict[str, Compiled]:
 
     A kernel that spilled may be compiled once more, in another way: only what runs has a description.
     """
-    found: dict[str, Compiled] = {}
+    kernels_of: dict[str, Compiled] = {}
     for path in sorted(listings.glob("*.asm")):
         text, description = path.read_text(encoding="utf-8", errors="replace"), path.with_suffix(".cos")
         if (kernel := re.search(r"^//\.kernel (\w+)", text, re.MULTILINE)) and description.exists():
-            said = description.read_text(encoding="utf-8", errors="replace")
-            found[kernel[1]] = Compiled(
+            details = description.read_text(encoding="utf-8", errors="replace")
+            kernels_of[kernel[1]] = Compiled(
                 registers=_number(r"numGRF=(\d+)", text),
-                stack=_number(r"PerThreadPrivateMemorySize\s*= (\d+)", said),
+                stack=_number(r"PerThreadPrivateMemorySize\s*= (\d+)", details),
                 spilled=_number(r"//\.spill size (\d+)", text),
-                local=_number(r"TotalInlineLocalMemorySize\s*= (\d+)", said),
+                local=_number(r"TotalInlineLocalMemorySize\s*= (\d+)", details),
             )
-    return found
+    return kernels_of
 
 
 def _number(pattern: str, text: str) -> int:
@@ -173,8 +173,8 @@ def _run(command: list[str], more: Mapping[str, str] | None = None) -> str:
         done = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT, check=False, env=environment)
     except subprocess.TimeoutExpired:
         raise CompileError(f"{Path(command[0]).name}: no end after {LIMIT} s") from None
-    told = done.stdout + done.stderr
+    output = done.stdout + done.stderr
     if done.returncode:
-        wrong = [line for line in told.splitlines() if "error" in line] or [f"status {done.returncode}"]
+        wrong = [line for line in output.splitlines() if "error" in line] or [f"status {done.returncode}"]
         raise CompileError(f"{Path(command[0]).name}: {wrong[0]}")
-    return told
+    return output

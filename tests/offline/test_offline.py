@@ -38,8 +38,8 @@ def test_what_exceeds_a_budget_is_told():
     good = Compiled(registers=128, stack=0, spilled=0, local=18848)
     assert faults("conv_local", good, "sm_90") == []
     spilled = Compiled(registers=255, stack=64, spilled=64, local=18848)
-    told = faults("conv_local", spilled, "sm_90")
-    assert [line.split()[1] for line in told] == ["registers,", "bytes", "spilled,"]
+    lines = faults("conv_local", spilled, "sm_90")
+    assert [line.split()[1] for line in lines] == ["registers,", "bytes", "spilled,"]
 
 
 def need(target):
@@ -57,9 +57,9 @@ def test_budgets(kernel, options, target, tmp_path: Path):
     if kernel == "conv_mma" and row != "nvidia":
         pytest.skip(f"{target} has no matrix units that we use")
     rows = 1 if row == "intel" else 2
-    found = compiled(source(f"{kernel}.cl"), [*options, f"-DROWS={rows}"], [kernel], target, tmp_path)[kernel]
-    assert faults(kernel, found, target) == []
-    assert found.local > 0
+    usage = compiled(source(f"{kernel}.cl"), [*options, f"-DROWS={rows}"], [kernel], target, tmp_path)[kernel]
+    assert faults(kernel, usage, target) == []
+    assert usage.local > 0
     assert kernel in BUDGETS
 
 

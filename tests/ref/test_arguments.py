@@ -89,9 +89,9 @@ def test_what_is_not_taken_is_named(function, name):
         with pytest.raises(ArrayError) as error:
             function(**{**arrays, name: change(arrays[name])})
         assert "\n" not in str(error.value)
-        said, *_ = str(error.value).partition(":")
+        names, *_ = str(error.value).partition(":")
         # Of two arrays that do not fit each other, the later one is named.
-        assert said == name or (said in arrays and what in ("a channel more", "no rows")), (what, str(error.value))
+        assert names == name or (names in arrays and what in ("a channel more", "no rows")), (what, str(error.value))
     if len(arrays) > 1 and name != "valid":
         with pytest.raises(ArrayError, match="expected dtype"):
             function(**{**arrays, name: arrays[name].astype(np.float64)})
@@ -126,7 +126,7 @@ def test_letters_stand_for_one_length_each():
 
 
 @pytest.mark.parametrize(
-    ("call", "said"),
+    ("call", "words"),
     [
         (lambda: motion_chain(np.zeros((1, 2, 2, 2)), "furthest"), "gather: expected longest or "),
         (lambda: motion_chain(np.zeros((1, 2, 2, 2)), ["longest"]), "gather: expected longest or nearest or bilinear, got list"),
@@ -137,10 +137,10 @@ def test_letters_stand_for_one_length_each():
         (lambda: rrm(np.ones((8, 8)), 5), r"rectangle: expected shape (4,), got ()"),
     ],
 )  # fmt: skip
-def test_other_arguments_are_named(call, said):
+def test_other_arguments_are_named(call, words):
     with pytest.raises(ArrayError) as error:
         call()
-    assert str(error.value).startswith(said)
+    assert str(error.value).startswith(words)
 
 
 def test_one_dtype_is_required():

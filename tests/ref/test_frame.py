@@ -121,28 +121,28 @@ def test_each_frame_is_compared_with_its_own_planes(steps, test):
     """Stage by stage, with every index written out."""
     inputs = lively_scene((9, 11), steps)
     prepared, detailed = (prepare(inputs, second=second, test=test) for second in ("newest", "detail"))
-    depth, shown, moved = inputs.gbuffer[..., 3], [], []
+    depth, images, moved = inputs.gbuffer[..., 3], [], []
     for i in (0, 1, 2):
         missing = (i == 1 and steps[1] == steps[0]) or (i == 2 and steps[2] == steps[1])
         if steps[i] == 0:
-            shown.append((inputs.colors[i], np.full((9, 11), not missing)))
+            images.append((inputs.colors[i], np.full((9, 11), not missing)))
             continue
         motion = motion_chain(inputs.motions[: steps[i]])
         valid = holes(motion, inputs.stencils[i + 1], inputs.stencils[0], inputs.normals[i + 1], inputs.normals[0],
                       inputs.positions[i + 1], inputs.positions[0], inputs.nov, depth, test)  # fmt: skip
         assert 0.1 < valid.mean() < 0.9
-        shown.append((warp(inputs.colors[i], motion)[0], valid & (not missing)))
+        images.append((warp(inputs.colors[i], motion)[0], valid & (not missing)))
         if not missing:
             moved.append((inputs.colors[i], motion, inputs.stencils[i + 1]))
-    (newest, valid), first = shown[0], shown[0][0]
+    (newest, valid), first = images[0], images[0][0]
     if steps[0]:
         first = occlusion_warp(inputs.colors[0], newest, motion_chain(inputs.motions[: steps[0]]), depth, valid)[1]
         assert not np.array_equal(first, newest)
     np.testing.assert_array_equal(prepared.color, np.concatenate([first, newest], -1))
     np.testing.assert_array_equal(detailed.color, np.concatenate([first, detail(first, inputs.stencils[0], moved)], -1))
-    for made in (prepared, detailed):
-        np.testing.assert_array_equal(made.mask, valid)
-        for entry, (color, trusted) in zip(made.history, shown[::-1], strict=True):
+    for result in (prepared, detailed):
+        np.testing.assert_array_equal(result.mask, valid)
+        for entry, (color, trusted) in zip(result.history, images[::-1], strict=True):
             np.testing.assert_array_equal(entry, np.concatenate([color, trusted[..., None]], -1))
     if steps[0]:
         filled = prepare(inputs, test=test, hole_fill="reshade").color[..., :3]

@@ -227,10 +227,10 @@ class TestHoles:
         up, short = constant((1, 1), 0, 0, 1), constant((1, 1), 0, 0, 1e-5)
         assert np.abs(cosine(up, short) - 0.5) < 2**-50
         one = np.ones((1, 1))
-        given = hole_inputs((1, 1), normal=up, normal_previous=short, stencil=one, stencil_previous=one)
+        planes = hole_inputs((1, 1), normal=up, normal_previous=short, stencil=one, stencil_previous=one)
         limit = cosine(up, short).item()
-        assert holes(**given, limits=HoleLimits(cosine=limit)).all()
-        assert not holes(**given, limits=HoleLimits(cosine=np.nextafter(limit, 1))).any()
+        assert holes(**planes, limits=HoleLimits(cosine=limit)).all()
+        assert not holes(**planes, limits=HoleLimits(cosine=np.nextafter(limit, 1))).any()
 
     def test_another_object_is_a_hole(self):
         inputs = hole_inputs(stencil=np.full((4, 4), 2.0), stencil_previous=np.full((4, 4), 1.0))
@@ -349,8 +349,8 @@ class TestReshade:
         """In a frame of three rows and four columns; what lies beyond is no sample, even a pixel below or to the right."""
         motions = np.zeros((3, 4, 2))
         motions[pixel] = motion
-        found = [(int(i[0]), r[0], c[0]) for i, r, c in four_samples(motions, *(np.array([n]) for n in pixel))]
-        assert found == list(zip(map(int, there), rows, columns, strict=True))
+        rows_read = [(int(i[0]), r[0], c[0]) for i, r, c in four_samples(motions, *(np.array([n]) for n in pixel))]
+        assert rows_read == list(zip(map(int, there), rows, columns, strict=True))
 
     def around(self, lit, pixel, side=2 * RADIUS + 4):
         """The sum and the weights around a pixel of sources of one material; ``lit``: place -> colour."""
@@ -389,10 +389,10 @@ class TestReshade:
     )  # fmt: skip
     def test_the_weight_of_a_material(self, base, own_base, normal, own, weight):
         """(1 + 8 sum |b| + 2 |n|^2)^-4, of differences."""
-        given = [np.array([each], np.float64) for each in (base, own_base, normal, own)]
-        assert likeness(*given, np.zeros(1))[0] == weight
+        materials = [np.array([each], np.float64) for each in (base, own_base, normal, own)]
+        assert likeness(*materials, np.zeros(1))[0] == weight
         # A background's squared distance, with the rest.
-        assert likeness(*given, np.full(1, 4.0))[0] == (weight**-0.25 + 1) ** -4
+        assert likeness(*materials, np.full(1, 4.0))[0] == (weight**-0.25 + 1) ** -4
 
     @pytest.mark.parametrize(
         ("number", "n", "normal", "shows"),
@@ -492,15 +492,15 @@ class TestRRM:
 
     def test_every_place_may_be_drawn(self):
         """What it asks of the generator: lowest and highest value, both included."""
-        asked = []
+        ranges = []
 
         class Highest:
             def integers(self, low, high, *, endpoint):
-                asked.append((low, high, endpoint))
+                ranges.append((low, high, endpoint))
                 return high
 
         assert draw_rectangle(9, 22, Highest()) == (7, 17, 2, 5)
-        assert asked == [(1, 2, True), (1, 5, True), (0, 7, True), (0, 17, True)]
+        assert ranges == [(1, 2, True), (1, 5, True), (0, 7, True), (0, 17, True)]
 
     @pytest.mark.parametrize("rectangle", [(-1, 0, 1, 1), (0, 0, 5, 1), (3, 0, 2, 1), (0, 5, 1, 1)])
     def test_a_rectangle_outside_is_an_error(self, rectangle):

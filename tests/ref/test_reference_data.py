@@ -45,33 +45,33 @@ def test_the_image_is_the_authors(reference_data, name, dtype):
 def test_warping_is_the_published(reference_data, name):
     """Motion y up and previous = p - (mx, -my) there; compared where all four taps lie inside."""
     data = load_file(reference_data / "warp" / f"{name}.safetensors")
-    given = {k[3:]: v.astype(np.float64) for k, v in data.items() if k.startswith("in.")}
-    motion = given["motion"][..., :2] * (-1, 1)
+    inputs = {k[3:]: v.astype(np.float64) for k, v in data.items() if k.startswith("in.")}
+    motion = inputs["motion"][..., :2] * (-1, 1)
     height, width, _ = motion.shape
     at = follow(motion)
     inner = leads_inside(at) & (at.x + 1 < width) & (at.y + 1 < height)
     assert inner.mean() > 0.75
 
-    warped, _ = warp(given["color_prev"], motion)
+    warped, _ = warp(inputs["color_prev"], motion)
     assert ratio("warp.published", warped[inner], data["out.warp_no_hole"][inner]) <= 1
 
-    depth = given["depth"][..., 0]
+    depth = inputs["depth"][..., 0]
     valid = holes(
         motion,
-        given["stencil_prev"][..., 0],
-        given["stencil"][..., 0],
-        given["normal_prev"],
-        given["normal"],
-        given["position_prev"],
-        given["position"],
-        given["nov"][..., 0],
+        inputs["stencil_prev"][..., 0],
+        inputs["stencil"][..., 0],
+        inputs["normal_prev"],
+        inputs["normal"],
+        inputs["position_prev"],
+        inputs["position"],
+        inputs["nov"][..., 0],
         depth,
         test="paper",
     )
     # No pixel of these files meets a threshold to within rounding: none may differ.
     assert np.count_nonzero((~valid != data["out.hole"].astype(bool))[inner]) == 0
 
-    occlusion_motion, filled = occlusion_warp(given["color_prev"], warped, motion, depth, valid)
+    occlusion_motion, filled = occlusion_warp(inputs["color_prev"], warped, motion, depth, valid)
     np.testing.assert_array_equal(occlusion_motion, data["out.occlusion_motion"][..., :2].astype(np.float64) * (-1, 1))
     there = [np.indices(depth.shape)[1 - i] + occlusion_motion[..., i] for i in (0, 1)]
     inner &= (there[0] >= 0) & (np.floor(there[0]) + 1 < width) & (there[1] >= 0) & (np.floor(there[1]) + 1 < height)

@@ -40,8 +40,8 @@ def test_position_projects_to_its_pixel(name):
     for frame in (0, 7, 8):
         out = render(scene, frame, *SIZE)
         hit = np.isfinite(out.depth)
-        found = scene.camera.view(frame, SIZE).project(columns(out.position[hit]))
-        assert np.max(np.abs(found - grid()[hit])) < PIXELS
+        pixels = scene.camera.view(frame, SIZE).project(columns(out.position[hit]))
+        assert np.max(np.abs(pixels - grid()[hit])) < PIXELS
 
 
 def previous_places(scene, frame, out):

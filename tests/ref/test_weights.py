@@ -42,21 +42,28 @@ SPOILT = np.where(np.arange(24 * 21 * 9) % 2000 == 1999, np.float32(np.nan), 0).
     ],
 )
 def test_a_defect_is_an_error_that_names_the_tensor(changes: dict[str, Any], message: str):
-    with pytest.raises(WeightsError) as caught:
+    with pytest.raises(WeightsError) as error:
         check({name: tensor for name, tensor in {**zeros(), **changes}.items() if tensor is not None})
-    assert str(caught.value) == message
+    assert str(error.value) == message
 
 
 def test_the_table_says_what_each_layer_reads():
     for layer in LAYERS:
-        found = [SOURCES[n] if n in SOURCES else BY_NAME[n].outputs * (BY_NAME[n].repeats // layer.repeats) for n in layer.reads]
-        assert sum(found) == layer.inputs, layer.name
+        channels = [
+            SOURCES[n] if n in SOURCES else BY_NAME[n].outputs * (BY_NAME[n].repeats // layer.repeats) for n in layer.reads
+        ]
+        assert sum(channels) == layer.inputs, layer.name
 
 
 def test_the_second_colour_stays_with_the_tensors():
     """Checked, rounded, copied to another process; tensors alone mean the newest frame."""
-    made = Weights(random(2), "detail")
-    for same in (check(made), made | {"outc.bias": made["outc.bias"]}, astype(made, float), pickle.loads(pickle.dumps(made))):
+    weights = Weights(random(2), "detail")
+    for same in (
+        check(weights),
+        weights | {"outc.bias": weights["outc.bias"]},
+        astype(weights, float),
+        pickle.loads(pickle.dumps(weights)),
+    ):
         assert same.second_color == "detail"
-    for other in (check(dict(made)), random(2), zeros()):
+    for other in (check(dict(weights)), random(2), zeros()):
         assert other.second_color == "newest"

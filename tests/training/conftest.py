@@ -12,11 +12,11 @@ def data(tmp_path_factory):
     """Frames whose truth is 0.1 brighter than what bilinear gives; an odd size, so that validation has to pad."""
     folder, random = tmp_path_factory.mktemp("data"), np.random.default_rng(0)
     for split in ("training", "validation"):
-        made = []
+        samples = []
         for kind in (FrameKind.SF, FrameKind.EF):
             inputs = random.random((17, 20, 35)) * 0.2 + 0.3
             inputs[..., [15, 19, 23]] = 1
             inputs[..., :3] = 0.4
-            made.append(Sample(0, kind, inputs, np.full((34, 40, 3), 0.5)))
-        write(folder / split, split, split, "occlusion_warp", made)
+            samples.append(Sample(0, kind, inputs, np.full((34, 40, 3), 0.5)))
+        write(folder / split, split, split, "occlusion_warp", samples)
     return folder

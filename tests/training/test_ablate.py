@@ -20,9 +20,9 @@ def test_every_row_differs_from_the_whole(tmp_path, capsys):
         index.write_text(json.dumps(json.loads(index.read_text()) | {"split": split}))
     ablate.main([str(tmp_path), "--seeds", "0", "--steps", "6", "--most", "1", "--augment", "none", "--rows", *ROWS])
     lines = capsys.readouterr().out.splitlines()
-    found = {line.split(":")[0]: line.split(":")[1] for line in lines}
-    assert len(found) == 3 * len(ROWS) - 1
+    rows = {line.split(":")[0]: line.split(":")[1] for line in lines}
+    assert len(rows) == 3 * len(ROWS) - 1
     for row in ROWS[1:3]:
-        assert [found[f"without {row}, {kind}"] for kind in ("SF", "EF")] != [
-            found[f"without whole, {kind}"] for kind in ("SF", "EF")
+        assert [rows[f"without {row}, {kind}"] for kind in ("SF", "EF")] != [
+            rows[f"without whole, {kind}"] for kind in ("SF", "EF")
         ]

@@ -12,9 +12,9 @@ from training.muon import Muon, orthogonal  # noqa: E402
 @pytest.mark.parametrize("shape", [(24, 216), (1, 5)])
 def test_the_singular_vectors_stay_and_the_values_come_near_one(shape):
     matrices = torch.from_numpy(np.random.default_rng(0).normal(size=(3, *shape)) * [[[1e-3]], [[1.0]], [[50.0]]])
-    for matrix, made in zip(matrices, orthogonal(matrices), strict=True):
+    for matrix, result in zip(matrices, orthogonal(matrices), strict=True):
         u, _, v = torch.linalg.svd(matrix, full_matrices=False)
-        core = u.T @ made @ v.T
+        core = u.T @ result @ v.T
         values = core.diagonal()
         assert 0.6 < values.min() <= values.max() < 1.3
         assert (core - values.diag()).abs().max() < 1e-12

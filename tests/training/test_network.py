@@ -66,7 +66,7 @@ def test_a_network_without_history_is_one_whose_history_is_not_read():
     assert find_live(random_weights(4)).reads_history
     load_weights(whole, weights)
     with torch.no_grad():
-        got, want = (made(*tensors(arrays)).numpy() for made in (network, whole))
+        got, want = (network_(*tensors(arrays)).numpy() for network_ in (network, whole))
     assert ratio("network.float32", got, want) <= 1
     network(*tensors(arrays)).sum().backward()
     still = ("convHis", "lowlevelGated.conv_mask", "lowlevelGated.conv_feature.weight")
@@ -142,10 +142,10 @@ def test_structure_is_that_of_compare():
     random = np.random.default_rng(3)
     pictures = random.integers(0, 256, (2, 3, 40, 56)).astype(np.float64)
     output, truth = (pictures[0] + 2 * pictures[1]) / 3 // 1, pictures[1]
-    wanted = ssim_map(*(luma(np.moveaxis(picture, 0, -1).astype(np.uint8)) for picture in (output, truth))).mean()
+    want = ssim_map(*(luma(np.moveaxis(picture, 0, -1).astype(np.uint8)) for picture in (output, truth))).mean()
     got = structure(*(torch.from_numpy(picture / 255)[None] for picture in (output, truth)))
     # Six moments of at most 1, summed across and down, of which the differences are divided by C2 or more.
-    assert abs(1 - got.item() - wanted) <= sum_bound(2 * WINDOW, 6 * PEAK**2 / C2, np.float64)
+    assert abs(1 - got.item() - want) <= sum_bound(2 * WINDOW, 6 * PEAK**2 / C2, np.float64)
 
 
 def test_the_aids_of_the_first_half():

@@ -49,7 +49,7 @@ def ghosts(inputs):
 
 
 def test_motions_lead_to_the_same_surface_however_the_picture_is_turned(data):
-    drawn = train.batches(data, "nsrr", 24, 2, 0)
+    batches = train.batches(data, "nsrr", 24, 2, 0)
     shard = np.load(data / "analytic-00001-aliased" / "inputs.npy").astype(np.float32)
     truth = np.load(data / "analytic-00001-aliased" / "truth.npy").astype(np.float32)
     before = ghosts(shard)
@@ -57,7 +57,7 @@ def test_motions_lead_to_the_same_surface_however_the_picture_is_turned(data):
     still[..., train.FRAMES + PLANES :] = 0
     assert before < 0.7 * ghosts(still)
     for seed in range(6):
-        turned, _ = drawn.augment(shard, truth, np.random.default_rng(seed))
+        turned, _ = batches.augment(shard, truth, np.random.default_rng(seed))
         assert ghosts(turned) == pytest.approx(before, rel=0.4)
 
 
@@ -91,14 +91,14 @@ def test_every_chain_writes_frames_and_scores(tmp_path, monkeypatch):
         save_file({key: t.contiguous() for key, t in train.make(name).named_parameters()}, tmp_path / name)
     torch.save({"state_dict": authors.AuthorsExtraNet().state_dict()}, tmp_path / "authors")
     monkeypatch.setattr(run, "rife", lambda: lambda two, *_: [0, 0, [0, 0, 0, (two[:, :3] + two[:, 3:]) / 2]])
-    given = [str(tmp_path / "frames"), str(tmp_path / "truth"), "-o", str(tmp_path / "out"), "--rendered", "even"]
+    options = [str(tmp_path / "frames"), str(tmp_path / "truth"), "-o", str(tmp_path / "out"), "--rendered", "even"]
     files = [word for name in ("extranet", "nsrr", "authors") for word in (f"--{name}", str(tmp_path / name))]
     methods = (*run.CHAINS, "lanczos", "lanczos+rife", "taau")
-    run.main([*given, *files, "--methods", *methods])
+    run.main([*options, *files, "--methods", *methods])
     for method in methods:
         assert len(list((tmp_path / "out" / method).glob("frame.*.exr"))) == 5, method
 
-    def shown(folder, number):
+    def picture(folder, number):
         return curve.encode(read_rgb(tmp_path / folder / f"frame.{number:04}.exr"))
 
     curve, files = transfer("srgb"), open_sequence(tmp_path / "frames")
@@ -108,7 +108,7 @@ def test_every_chain_writes_frames_and_scores(tmp_path, monkeypatch):
     np.testing.assert_array_equal(every.compute(window, (1, 1, 1))[0], upsample_centres(frames[1]))
     with pytest.raises(InputError, match="every: frame 1 was not rendered"):
         run.RenderedFrames(run.EVERY, {}.get, curve).compute(window, (1, 1, 1))
-    lanczos, between = ([shown(f"out/{name}", number) for number in range(3)] for name in ("lanczos", "lanczos+rife"))
+    lanczos, between = ([picture(f"out/{name}", number) for number in range(3)] for name in ("lanczos", "lanczos+rife"))
     assert np.abs(between[0] - lanczos[0]).max() < 2e-3
     assert np.abs(between[1] - (lanczos[0] + lanczos[2]) / 2).max() < 4e-3
     chain = run.Chain("rife+nsrr", {}, dict(enumerate(frames)).get)
@@ -124,7 +124,7 @@ def test_every_chain_writes_frames_and_scores(tmp_path, monkeypatch):
         (["--methods", "authors", "--authors", str(tmp_path / "nsrr")], "expected medieval.pth.tar"),
     ):
         with pytest.raises(InputError, match=message):
-            run.main([given[0], given[1], "-o", str(tmp_path / "other"), "--rendered", "even", *words])
+            run.main([options[0], options[1], "-o", str(tmp_path / "other"), "--rendered", "even", *words])
 
 
 def test_the_authors_network_reads_light_and_the_sky_keeps_its_colour(tmp_path):
@@ -134,19 +134,19 @@ def test_the_authors_network_reads_light_and_the_sky_keeps_its_colour(tmp_path):
     curve = transfer("srgb")
     window = [display_frame.prepare(files.load(number), curve, "scale") for number in range(6)]
     plain = prepare(display_frame.frame_inputs(window, (1, 3, 5))).color
-    seen = {}
+    calls = {}
 
     def network(color, mask, features, history):
-        seen.update(color=color, mask=mask, features=features, history=history)
+        calls.update(color=color, mask=mask, features=features, history=history)
         return color[:, 3:]
 
     image = authors.extrapolate(network, window, (1, 3, 5), files.load, curve)
     now = files.load(5)
     sky = ~np.isfinite(now.depth)
     assert image.shape == plain[..., :3].shape
-    assert [seen[name].shape[1] for name in ("color", "mask", "features", "history")] == [6, 1, 6, 4]
+    assert [calls[name].shape[1] for name in ("color", "mask", "features", "history")] == [6, 1, 6, 4]
     np.testing.assert_array_equal(image[sky], plain[..., :3][sky])
-    assert (seen["features"][0, :3].numpy().transpose(1, 2, 0)[:16, :24][sky] == -1).all()
+    assert (calls["features"][0, :3].numpy().transpose(1, 2, 0)[:16, :24][sky] == -1).all()
     flat = (now.base_color > 0.05).all(axis=-1) & ~sky
     assert np.median(np.abs(image - plain[..., :3])[flat]) < 0.05  # light is warped here, colour there
 
@@ -155,7 +155,7 @@ def test_an_upsampler_sees_motion_without_jitter(tmp_path):
     """A camera at rest whose picture is shifted: nothing moves."""
     write_demo_sequence(tmp_path, 3, (16, 24))
     files = open_sequence(tmp_path / "frames")
-    offsets, seen = {0: (0.25, -0.5), 1: (-0.25, 0.5), 2: (0.0, 0.0)}, []
+    offsets, frames_seen = {0: (0.25, -0.5), 1: (-0.25, 0.5), 2: (0.0, 0.0)}, []
     curve = transfer("srgb")
     frames = [display_frame.prepare(files.load(number), curve, "scale") for number in range(3)]
     shift = [np.subtract(offsets[max(n - 1, 0)], offsets[n]).astype(np.float32) for n in range(3)]
@@ -163,15 +163,15 @@ def test_an_upsampler_sees_motion_without_jitter(tmp_path):
     frames = [replace(f, motion=m, color=frames[0].color) for f, m in zip(frames, moved, strict=True)]
 
     def upsampler(frame):
-        seen.append(frame)
+        frames_seen.append(frame)
         return upsample_centres(frame.color)
 
     backend = jittered.JitteredBackend("some", upsampler, offsets, files.load, curve)
     for n, steps in enumerate([(0, 0, 0), (0, 1, 1), (0, 2, 2)]):
         backend.compute(frames[: n + 1], steps)
-    assert [frame.first for frame in seen] == [True, False, False]
-    assert all(not frame.motion.any() for frame in seen)
-    assert [(frame.offset, frame.before) for frame in seen[1:]] == [(offsets[1], offsets[0]), (offsets[2], offsets[1])]
+    assert [frame.first for frame in frames_seen] == [True, False, False]
+    assert all(not frame.motion.any() for frame in frames_seen)
+    assert [(frame.offset, frame.before) for frame in frames_seen[1:]] == [(offsets[1], offsets[0]), (offsets[2], offsets[1])]
     with pytest.raises(InputError, match="expected lines of frame,x,y"):
         jittered.read_offsets(files.path / "none.csv")
 
@@ -180,10 +180,10 @@ def test_nss_counts_to_the_bit():
     """TOSA's operators against sums of Python's integers."""
     random = np.random.default_rng(0)
     x, weight = random.integers(-128, 128, (5, 6, 3)), random.integers(-128, 128, (2, 3, 3, 3))
-    made = nss.conv2d([[1, 0, 1, 0], 2, [1, 1], 1, False, x, weight, [7, 2**32 - 9], [128], 0])
+    result = nss.conv2d([[1, 0, 1, 0], 2, [1, 1], 1, False, x, weight, [7, 2**32 - 9], [128], 0])
     padded = np.pad(x + 128, ((1, 0), (1, 0), (0, 0)))
-    assert made.shape == (2, 3, 2)
-    for (j, i, channel), value in np.ndenumerate(made):
+    assert result.shape == (2, 3, 2)
+    for (j, i, channel), value in np.ndenumerate(result):
         patch = padded[2 * j : 2 * j + 3, 2 * i : 2 * i + 3]
         assert (
             value == sum(int(a) * int(b) for a, b in zip(patch.ravel(), weight[channel].ravel(), strict=True)) + (7, -9)[channel]

@@ -51,21 +51,23 @@ def test_samples_are_what_the_tool_feeds_the_network(film, fill):
     curve = module.transfer("srgb")
     buffers = [module.replace(b, color=np.minimum(b.color, 1)) for b in film_frames(film, SIZE, 8)]
     frames = [prepare(b, curve, "scale") for b in buffers]
-    made = list(samples(frames, {n: np.zeros((48, 64, 3), np.float32) for n in (6, 7)}, fill))
-    assert [(s.number, s.kind.value) for s in made] == [(6, "SF"), (6, "EF"), (7, "SF"), (7, "EF")]
+    parts = list(samples(frames, {n: np.zeros((48, 64, 3), np.float32) for n in (6, 7)}, fill))
+    assert [(s.number, s.kind.value) for s in parts] == [(6, "SF"), (6, "EF"), (7, "SF"), (7, "EF")]
     for odd in (0, 1):
         half = [b if b.number % 2 == odd else module.replace(b, color=None) for b in buffers]
         outputs = {output.number: output for output in Supersampler(backend=Bilinear(fill))(half)}
-        for sample in (s for s in made if (s.number % 2 == odd) == (s.kind is FrameKind.SF)):
+        for sample in (s for s in parts if (s.number % 2 == odd) == (s.kind is FrameKind.SF)):
             inputs = unpack(sample.inputs)
             image = curve.decode(upsample_centres(inputs.color[..., :3]))
             np.testing.assert_array_equal(image, outputs[sample.number].image)
             np.testing.assert_array_equal(inputs.mask.astype(bool), outputs[sample.number].valid)
     assert not list(samples(frames[:1], {0: np.zeros((48, 64, 3), np.float32)}, fill))  # nothing lies before it
     window = frames[2:8]
-    given = module.frame_inputs([module.replace(f, color=None) if f.number % 2 else f for f in window], (1, 3, 5))
-    details = np.stack([made[3].inputs[..., part] @ LUMA for part in (ACROSS, DOWN, LEVEL)], axis=-1)
-    np.testing.assert_allclose(details, module.warp_all(given, second="detail", hole_fill=fill).color[..., 3:], rtol=0, atol=1e-6)
+    planes_in = module.frame_inputs([module.replace(f, color=None) if f.number % 2 else f for f in window], (1, 3, 5))
+    details = np.stack([parts[3].inputs[..., part] @ LUMA for part in (ACROSS, DOWN, LEVEL)], axis=-1)
+    np.testing.assert_allclose(
+        details, module.warp_all(planes_in, second="detail", hole_fill=fill).color[..., 3:], rtol=0, atol=1e-6
+    )
     assert np.abs(details).max() > 0.01
 
 
@@ -77,9 +79,9 @@ def test_random_films_differ_and_repeat():
 
 @pytest.mark.parametrize("inputs", INPUTS)
 def test_inputs_say_what_is_a_mean_over_the_pixel(inputs):
-    sharp, made = (next(film_frames(random_film(3, kind), SIZE, 1)) for kind in ("aliased", inputs))
+    sharp, blurred = (next(film_frames(random_film(3, kind), SIZE, 1)) for kind in ("aliased", inputs))
     for name in ("color", "normal", "depth"):
-        assert (getattr(made, name) != getattr(sharp, name)).any() == (name in INPUTS[inputs])
+        assert (getattr(blurred, name) != getattr(sharp, name)).any() == (name in INPUTS[inputs])
 
 
 def test_a_scene_is_in_one_split():
@@ -206,12 +208,12 @@ def test_a_shard_replaces_nothing_else(tmp_path):
     before = set(tmp_path.rglob("*"))
     low, high = films / "kitchen" / "lr", films / "kitchen" / "hr"
     words = ["-o", str(films), "--sequence", str(low), str(high)]
-    for more, said in (
+    for more, message in (
         ([], "above or below"), (["--name", "other"], "a shard of"), (["--name", "link"], "a shard of"),
         (["--name", "../films"], "without separators"), (["--name", ".."], "without separators"),
         (["-o", str(low), "--name", "x"], "above or below"),
     ):  # fmt: skip
-        with pytest.raises(InputError, match=said):
+        with pytest.raises(InputError, match=message):
             module.main([*words, *more])
     assert set(tmp_path.rglob("*")) == before
     module.require_shard(films / "shard", [low, high])

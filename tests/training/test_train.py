@@ -88,23 +88,23 @@ def test_options_reach_the_run(data, tmp_path):
     detailed = tmp_path / "detail" / "weights.safetensors"
     run(data, tmp_path / "on", 4, "--initial", str(detailed))
     run(data, tmp_path / "back", 4, "--initial", str(detailed), "--second-color", "newest")
-    made = {name: load(tmp_path / name / "weights.safetensors") for name in (*runs, "no history", "on", "back")}
-    assert [name for name, loaded in made.items() if loaded.weights.second_color == "detail"] == ["detail", "on"]
+    weights_of = {name: load(tmp_path / name / "weights.safetensors") for name in (*runs, "no history", "on", "back")}
+    assert [name for name, loaded in weights_of.items() if loaded.weights.second_color == "detail"] == ["detail", "on"]
     with pytest.raises(InputError, match="weights: expected one second colour, found detail and newest"):
         average([str(detailed), str(tmp_path / "back" / "weights.safetensors"), "-o", str(tmp_path / "mean.safetensors")])
     average([str(detailed), str(detailed), "-o", str(tmp_path / "mean.safetensors")])
     assert load(tmp_path / "mean.safetensors").weights.second_color == "detail"
-    assert [name for name, loaded in made.items() if not find_live(loaded.weights).reads_history] == ["no history"]
-    sums = {name: loaded.label for name, loaded in made.items()}
+    assert [name for name, loaded in weights_of.items() if not find_live(loaded.weights).reads_history] == ["no history"]
+    sums = {name: loaded.label for name, loaded in weights_of.items()}
     assert len(set(sums.values())) == len(sums)
 
 
 def test_a_run_and_nothing_after_it_has_no_denormal_numbers(data, tmp_path, monkeypatch):
     """They come from dead units, and made long runs twice as slow; the judge of ports asks about them in the same process."""
-    small, seen = torch.tensor([1e-310], dtype=torch.float64), []
-    monkeypatch.setattr("training.train.keep", lambda out, state, means: seen.append((small * 0.5).item()))
+    small, products = torch.tensor([1e-310], dtype=torch.float64), []
+    monkeypatch.setattr("training.train.keep", lambda out, state, means: products.append((small * 0.5).item()))
     run(data, tmp_path, 4)
-    assert seen == [0]
+    assert products == [0]
     assert (small * 0.5).item() > 0
 
 
@@ -135,12 +135,12 @@ def test_batches_are_half_and_half_and_depend_on_the_step_alone(data):
 
 def test_a_batch_has_the_frame_beside_and_the_motion_of_the_later_one(tmp_path):
     """The truth says which frame a crop shows. Frames 3 and 4 go together, 9 with itself; no motion leads there."""
-    made = [
+    parts = [
         Sample(n, kind, np.full((16, 16, 35), 0.5), np.full((32, 32, 3), n / 16))
         for n in (3, 4, 9)
         for kind in (FrameKind.SF, FrameKind.EF)
     ]
-    write(tmp_path / "one", "one", "training", "occlusion_warp", made)
+    write(tmp_path / "one", "one", "training", "occlusion_warp", parts)
     assert [(a.shard.frames[a.index], b.shard.frames[b.index]) for a, b in pairs(load_shards(tmp_path), "training")] == [
         (3, 4),
         (4, 3),
@@ -158,8 +158,10 @@ def test_every_folder_of_shards_is_drawn_from_equally_often(tmp_path):
     for folder, count in (("few", 1), ("many", 9)):
         for i in range(count):
             value = float(folder == "few")
-            made = [Sample(0, kind, np.zeros((16, 16, 35)), np.full((32, 32, 3), value)) for kind in (FrameKind.SF, FrameKind.EF)]
-            write(tmp_path / folder / str(i), f"{folder} {i}", "training", "occlusion_warp", made)
+            parts = [
+                Sample(0, kind, np.zeros((16, 16, 35)), np.full((32, 32, 3), value)) for kind in (FrameKind.SF, FrameKind.EF)
+            ]
+            write(tmp_path / folder / str(i), f"{folder} {i}", "training", "occlusion_warp", parts)
     batches = Batches(load_shards(tmp_path), side=16, batch=20, seed=0)
     few = np.mean([(batches[step].truth.max(axis=(1, 2, 3)) > 0.5).mean() for step in range(5)])
     assert 0.35 < few < 0.65

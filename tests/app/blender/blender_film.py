@@ -49,14 +49,14 @@ def make_scene():
 
 
 def render_truth(scene, folder):
-    kept = settings(scene)
+    before = settings(scene)
     image = scene.render.image_settings
     image.file_format, scene.cycles.samples = "OPEN_EXR", 16
     for number in FRAMES:
         scene.frame_set(number)
         scene.render.filepath = str(folder / f"frame.{number:04d}.exr")
         bpy.ops.render.render(write_still=True)
-    scene.render.filepath, _, image.file_format, scene.cycles.samples = kept
+    scene.render.filepath, _, image.file_format, scene.cycles.samples = before
 
 
 def main():
@@ -81,7 +81,7 @@ def main():
         refused = str(bpy.ops.stss.render())
     except RuntimeError as error:
         refused = str(error)
-    found = {
+    report = {
         "state": [*state, *again],
         "refused": refused,
         "kept": before == settings(scene),
@@ -90,7 +90,7 @@ def main():
         "python": sys.path,
         "numpy": numpy_of_blender,
     }
-    (out / "found.json").write_text(json.dumps(found))
+    (out / "found.json").write_text(json.dumps(report))
 
 
 try:

@@ -42,8 +42,8 @@ def test_the_zip_has_its_packages_apart_from_those_of_blender(tmp_path, python, 
     (tmp_path / "packages" / "a").mkdir(parents=True)
     (tmp_path / "packages" / "a" / "b.py").write_text("")
     (tmp_path / "packages" / "c.py").write_text("")
-    told = [*build.pack(tmp_path / "x.zip", tmp_path / "packages", build.manifest("windows-x64", python))]
-    assert [name for name, _ in told] == ["a", "c.py"]
+    parts = [*build.pack(tmp_path / "x.zip", tmp_path / "packages", build.manifest("windows-x64", python))]
+    assert [name for name, _ in parts] == ["a", "c.py"]
     with zipfile.ZipFile(tmp_path / "x.zip") as archive:
         manifest = tomllib.loads(archive.read("blender_manifest.toml").decode())
         names = set(archive.namelist())
@@ -99,8 +99,8 @@ def test_a_scene_of_a_stranger_runs_no_program_and_names_no_file(film):
         with pytest.raises(film.FilmError, match="Options: "):
             film.harmless(options)
     tree = ast.parse((ROOT / "blender" / "__init__.py").read_text())
-    stored = next(node for node in tree.body if isinstance(node, ast.ClassDef) and node.name == "Settings")
-    assert [line.target.id for line in stored.body if isinstance(line, ast.AnnAssign)] == ["folder", "options"]
+    settings = next(node for node in tree.body if isinstance(node, ast.ClassDef) and node.name == "Settings")
+    assert [line.target.id for line in settings.body if isinstance(line, ast.AnnAssign)] == ["folder", "options"]
 
 
 @pytest.mark.skipif(sys.version_info < (3, 11), reason="Blender's Python is 3.11 or newer, and knows -P")
@@ -110,10 +110,10 @@ def test_no_module_beside_the_scene_is_imported(film, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", ["", *sys.path])
     monkeypatch.setattr(film, "PACKAGES", ROOT)
-    with pytest.raises(film.FilmError, match=r"camera\.csv|lr") as caught:
+    with pytest.raises(film.FilmError, match=r"camera\.csv|lr") as error:
         for _ in film.supersample(tmp_path / "film", 0):
             pass
-    assert "stranger" not in str(caught.value)
+    assert "stranger" not in str(error.value)
 
 
 def test_the_program_ends_with_the_operator(film, tmp_path):
@@ -150,8 +150,8 @@ def test_a_folder_with_files_of_others_is_not_rendered_to(film, tmp_path):
 def bpy_python():
     """A Python that has bpy: ``$STSS_BPY_PYTHON``, or this one; and its version, as 3.11."""
     named = os.environ.get("STSS_BPY_PYTHON", sys.executable)
-    asked = "import importlib.util, sys; print(*sys.version_info[:2], sep='.'); sys.exit(importlib.util.find_spec('bpy') is None)"
-    done = subprocess.run([named, "-c", asked], capture_output=True, text=True, check=False) if shutil.which(named) else None
+    code = "import importlib.util, sys; print(*sys.version_info[:2], sep='.'); sys.exit(importlib.util.find_spec('bpy') is None)"
+    done = subprocess.run([named, "-c", code], capture_output=True, text=True, check=False) if shutil.which(named) else None
     if done is None or done.returncode:
         pytest.skip("no bpy: make test-blender installs it")
     return named, done.stdout.strip()
@@ -197,13 +197,13 @@ def test_a_scene_becomes_supersampled_frames_without_a_hand_on_it(bpy_python, pa
     done = subprocess.run(words, env=environment, capture_output=True, text=True, check=False, timeout=900)
     assert (tmp_path / "found.json").exists(), done.stdout[-2000:] + done.stderr[-2000:]
     assert "stss: 8 of 8 frames" in done.stdout
-    found = json.loads((tmp_path / "found.json").read_text())
-    assert found["state"] == ["FINISHED"] * 2
-    assert "--cuts 99: expected frames of" in found["refused"]
-    assert found["kept"], "settings of the scene were changed for good"
-    assert found["image"] == "SEQUENCE"
-    assert found["index"][0] == 0 < found["index"][1]
-    assert not [place for place in [*found["python"], found["numpy"]] if str(tmp_path) in place and "packages" in place]
+    report = json.loads((tmp_path / "found.json").read_text())
+    assert report["state"] == ["FINISHED"] * 2
+    assert "--cuts 99: expected frames of" in report["refused"]
+    assert report["kept"], "settings of the scene were changed for good"
+    assert report["image"] == "SEQUENCE"
+    assert report["index"][0] == 0 < report["index"][1]
+    assert not [place for place in [*report["python"], report["numpy"]] if str(tmp_path) in place and "packages" in place]
     film = tmp_path / "film"
     assert len((film / "camera.csv").read_text().splitlines()) == 9
     names = [f"frame.{number:04d}.exr" for number in range(1, 9)]
@@ -216,10 +216,10 @@ def test_a_scene_becomes_supersampled_frames_without_a_hand_on_it(bpy_python, pa
         out = read_header(film / "out" / name)
         assert out.size == (64, 96)
         assert out.attributes["stss:kind"] == ("SF" if number % 2 else "EF")
-    made, truth = ([read_rgb(folder / name) for name in names] for folder in (film / "out", tmp_path / "truth"))
+    frames, truth = ([read_rgb(folder / name) for name in names] for folder in (film / "out", tmp_path / "truth"))
     for at in range(2, 7):  # the monkey moves 3 pixels a frame: each frame is nearest to its own truth
-        errors = [float(np.square(made[at] - truth[other]).mean()) for other in (at - 1, at, at + 1)]
-        assert np.isfinite(made[at]).all()
+        errors = [float(np.square(frames[at] - truth[other]).mean()) for other in (at - 1, at, at + 1)]
+        assert np.isfinite(frames[at]).all()
         assert errors[1] < 0.7 * min(errors[0], errors[2]), errors
     rows = measure_saving(bpy_python[0], tmp_path)
     assert [name for name, _, _ in rows] == ["full-1", "full-2", "stss"]
@@ -233,5 +233,5 @@ def measure_saving(python, folder):
     words += ["--samples", "2", "--truth", "8", "--stss", f"{sys.executable} -m stss", "--options", "--backend ref"]
     done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=900)
     assert done.returncode == 0, done.stdout + done.stderr
-    found = re.findall(r"^([\w-]+): ([\d.]+) s, ([\d.]+) dB, SSIM 0\.\d{3}$", done.stdout, re.M)
-    return [(name, float(took), float(psnr)) for name, took, psnr in found]
+    rows = re.findall(r"^([\w-]+): ([\d.]+) s, ([\d.]+) dB, SSIM 0\.\d{3}$", done.stdout, re.M)
+    return [(name, float(took), float(psnr)) for name, took, psnr in rows]

@@ -46,9 +46,9 @@ def test_frames_and_buffers_that_are_missing(write_frames):
         return {k: v for k, v in channels.items() if number % 2 or not k.startswith("motion")}
 
     report = check(write_frames([1, 2, 4, 7], change=change), SequenceOptions("stss"))
-    said = [finding.text for finding in report.findings]
-    assert said[0].startswith("display frames 3, 5, 6 are not there")
-    assert any(text.startswith("motion: not there in frames 2, 4; every display frame needs it") for text in said)
+    lines = [finding.text for finding in report.findings]
+    assert lines[0].startswith("display frames 3, 5, 6 are not there")
+    assert any(text.startswith("motion: not there in frames 2, 4; every display frame needs it") for text in lines)
     assert report.status == 2
 
 
@@ -63,12 +63,12 @@ def test_half_rate_g_buffers_are_said_first(write_frames):
 
 def test_colour_at_odd_frames(write_frames):
     report = check(write_frames([1, 2, 3, 4], rendered={1, 2, 4}), SequenceOptions("stss"))
-    found = [text for text in texts(report, "warning") if text.startswith("colour: expected every frame or every second")]
-    assert len(found) == 1
+    warnings = [text for text in texts(report, "warning") if text.startswith("colour: expected every frame or every second")]
+    assert len(warnings) == 1
 
 
 @pytest.mark.parametrize(
-    ("samples", "level", "said"),
+    ("samples", "level", "words"),
     [
         ((64, 4), "note", "every second frame from 2 on; the others are G-buffer frames, of 4 samples for 64"),
         (
@@ -81,7 +81,7 @@ def test_colour_at_odd_frames(write_frames):
         ((64, 4, 4, 4), "warning", r"frames of different numbers of samples \(4, 64\), not every second one"),
     ],
 )
-def test_colours_of_few_samples_are_of_g_buffer_frames(tmp_path, samples, level, said):
+def test_colours_of_few_samples_are_of_g_buffer_frames(tmp_path, samples, level, words):
     """As the extension for Blender renders them, by the metadata that Cycles writes."""
     for i in range(4):
         count = samples[i % len(samples)]
@@ -89,7 +89,7 @@ def test_colours_of_few_samples_are_of_g_buffer_frames(tmp_path, samples, level,
         write_channels(tmp_path / f"a.{i + 2:04d}.exr", frame_channels(i), metadata=metadata)
     findings = missing_buffers(open_sequence(tmp_path, "stss"), [2, 3, 4, 5])
     assert [finding.level for finding in findings] == [level]
-    assert re.fullmatch(f"colour: {said}", findings[0].text)
+    assert re.fullmatch(f"colour: {words}", findings[0].text)
 
 
 @pytest.mark.parametrize("choice", list(CHOICES)[1::3])
@@ -98,8 +98,8 @@ def test_a_wrong_choice_of_motion_is_told(write_frames, choice):
     swap, x, y = CHOICES[choice]
 
     def change(number, channels):
-        wanted = np.stack([channels["motion.X"], channels["motion.Y"]], axis=-1) * (x, y)
-        channels["motion.X"], channels["motion.Y"] = np.moveaxis(wanted[..., ::-1] if swap else wanted, -1, 0)
+        motion = np.stack([channels["motion.X"], channels["motion.Y"]], axis=-1) * (x, y)
+        channels["motion.X"], channels["motion.Y"] = np.moveaxis(motion[..., ::-1] if swap else motion, -1, 0)
 
     report = check(write_frames([1, 2, 3], change=change), SequenceOptions("stss"))
     (text,) = (text for text in texts(report, "warning") if text.startswith("motion: fits"))
@@ -132,7 +132,7 @@ def planted(**changes):
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "expected"),
     [
         (
             {"normal_Z": (0.7, 0), "stencil_X": (0.5, 0), "nov_X": (-1, 0), "R": (-1, 0), "depth_Z": 1e10},
@@ -167,11 +167,11 @@ def planted(**changes):
     ],
     ids=["directions", "ranges", "non-finite", "empty"],
 )
-def test_values(write_frames, changes, said):
+def test_values(write_frames, changes, expected):
     report = check(write_frames([1, 2, 3], change=planted(**changes)), SequenceOptions("stss"))
-    for level, text in said:
-        assert any(found.startswith(text) for found in texts(report, level)), (text, report.findings)
-    assert report.status == (2 if any(level == "error" for level, _ in said) else 1)
+    for level, text in expected:
+        assert any(line.startswith(text) for line in texts(report, level)), (text, report.findings)
+    assert report.status == (2 if any(level == "error" for level, _ in expected) else 1)
 
 
 def test_masked_values_are_a_warning(write_frames):
@@ -180,7 +180,7 @@ def test_masked_values_are_a_warning(write_frames):
 
 
 @pytest.mark.parametrize(
-    ("far", "half", "said"),
+    ("far", "half", "words"),
     [
         (1, True, [("note", "half precision, in steps of 0.12 cm; a pixel covers")]),
         (200, True, [("warning", "half precision, in steps of 32 cm; a pixel covers")]),
@@ -188,7 +188,7 @@ def test_masked_values_are_a_warning(write_frames):
         (2e5, False, [("warning", "single precision")]),
     ],
 )
-def test_steps_of_positions(write_frames, far, half, said):
+def test_steps_of_positions(write_frames, far, half, words):
     """Half's are 1/8 from 128 to 256, 32 from 32768 on; from 2**24 cm on float32's are an eighth of the smallest that tells a hole."""
 
     def change(number, channels):
@@ -196,11 +196,13 @@ def test_steps_of_positions(write_frames, far, half, said):
         channels["depth.Z"][:4] = 1e10  # the place that stands for the sky is no position
 
     folder = write_frames([1, 2], change=change, half=("position.X", "position.Y", "position.Z") if half else ())
-    found = [
+    findings = [
         f for f in check(folder, SequenceOptions("stss")).findings if f.text.startswith("position: ") and "precision" in f.text
     ]
-    assert len(found) == len(said)
-    assert all(f.level == level and f.text.startswith(f"position: {text}") for f, (level, text) in zip(found, said, strict=True))
+    assert len(findings) == len(words)
+    assert all(
+        f.level == level and f.text.startswith(f"position: {text}") for f, (level, text) in zip(findings, words, strict=True)
+    )
 
 
 def test_lossy_compression(write_frames, monkeypatch):
@@ -230,9 +232,9 @@ def test_object_numbers_that_run_together_are_named(write_frames, least, half, l
         channels["stencil.X"] = channels["stencil.X"] * (least + np.arange(64) // 32)
 
     folder = write_frames([1, 2], change=change, half=("stencil.X",) if half else ())
-    found = [text for text in texts(check(folder, SequenceOptions("stss")), "warning") if "run together" in text]
-    assert len(found) == (limit > 0)
-    assert all(text.startswith("stencil: up to ") and f"above {limit} run together" in text for text in found)
+    warnings = [text for text in texts(check(folder, SequenceOptions("stss")), "warning") if "run together" in text]
+    assert len(warnings) == (limit > 0)
+    assert all(text.startswith("stencil: up to ") and f"above {limit} run together" in text for text in warnings)
 
 
 def test_the_other_eye_is_named(write_frames, tmp_path):
@@ -253,11 +255,11 @@ def test_the_other_eye_is_named(write_frames, tmp_path):
                 attribute = oiio.TypeDesc("string[2]"), ("left", "right")
                 parts = [(np.concatenate([pixels, other], axis=-1, dtype=np.float32), twice, {"multiView": attribute})]
             write_parts(path, *parts)
-        told = 'views: the files have left, right; only left is read: a profile with a base and view = "right" reads another'
-        said = call("run", tmp_path / kind, "-o", tmp_path / "out", *PLAIN, "--overwrite").stderr.splitlines()
-        for lines in (texts(check(tmp_path / kind, SequenceOptions("stss")), "warning"), said):
+        note = 'views: the files have left, right; only left is read: a profile with a base and view = "right" reads another'
+        output = call("run", tmp_path / kind, "-o", tmp_path / "out", *PLAIN, "--overwrite").stderr.splitlines()
+        for lines in (texts(check(tmp_path / kind, SequenceOptions("stss")), "warning"), output):
             (text,) = (line for line in lines if "views" in line)
-            assert text == told
+            assert text == note
         left, right = (open_sequence(tmp_path / kind, load_profile("stss", view=eye)) for eye in ("left", "right"))
         assert left.one_view == right.one_view == ""
         np.testing.assert_array_equal(right.load(1).color[..., 0], 0.25 * left.load(1).color[..., 0])

@@ -23,7 +23,7 @@ def rendered():
 
 
 @pytest.fixture
-def found(rendered, tmp_path):
+def findings_of(rendered, tmp_path):
     """The report on the frames after ``change(channels, frames, number)``: warnings, and notes."""
 
     def look(change=lambda channels, frames, number: None):
@@ -94,15 +94,15 @@ def without_numbers(channels, frames, number):
 
 
 @pytest.mark.parametrize("change", [lambda channels, frames, number: None, bright])
-def test_sound_frames(found, change):
-    warnings, notes = found(change)
+def test_sound_frames(findings_of, change):
+    warnings, notes = findings_of(change)
     assert not warnings
     assert any(text.startswith("motion: right to ") for text in notes)
     assert any(text.startswith("holes: ") for text in notes)
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "words"),
     [
         ((of_motion(lambda m: m + 0.5), encoded), ("motion: seems to be half a pixel too far to the lower right", ENCODED)),
         ((of_motion(lambda m: m * 2 / SIZE[1], lambda m: -m * 2 / SIZE[0]),), (f"{NDC}, with y up",)),
@@ -128,13 +128,13 @@ def test_sound_frames(found, change):
         ((without_numbers,), ("stencil: 0 on ", "of the surfaces though they move")),
     ],
 )
-def test_each_mistake_is_named(found, changes, said):
-    def change(*given):
+def test_each_mistake_is_named(findings_of, changes, words):
+    def change(*planes):
         for each in changes:
-            each(*given)
+            each(*planes)
 
-    warnings, _ = found(change)
-    for text in said:
+    warnings, _ = findings_of(change)
+    for text in words:
         assert any(text in line for line in warnings), warnings
 
 

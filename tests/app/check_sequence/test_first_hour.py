@@ -34,9 +34,9 @@ def test_the_camera_follows_from_position_and_depth(ray):
     mixed = rng.random(SIZE) < 0.1
     position[mixed] += rng.normal(size=(mixed.sum(), 3)).astype(np.float32)
     depth[0] = np.inf
-    found = solve_camera(depth, position, ray=ray)
-    assert np.abs(found.pose.position - centre).max() < 2**-23 * 310 * 30, found  # positions are rounded to float32
-    assert found.residual < 1e-5
+    camera = solve_camera(depth, position, ray=ray)
+    assert np.abs(camera.pose.position - centre).max() < 2**-23 * 310 * 30, camera  # positions are rounded to float32
+    assert camera.residual < 1e-5
 
 
 def test_a_camera_that_does_not_follow_is_not_made_up():
@@ -59,21 +59,21 @@ def test_check_and_run_need_neither_profile_nor_camera(write_frames, tmp_path):
         del channels["nov.X"]
 
     lr = write_frames(range(4), change=without_nov, rendered=(0, 2))
-    given = write_frames(range(4), change=bumpy, rendered=(0, 2), folder="given")
+    source = write_frames(range(4), change=bumpy, rendered=(0, 2), folder="given")
     assert find_profile(lr).name == "stss"
     runner = CliRunner()
     checked = runner.invoke(stss, ["check", str(lr)], catch_exceptions=False)
     assert checked.exit_code in (0, 1), checked.output
     assert "profile: stss" in checked.output
     assert "frames 0 to 3, 64 x 48 in, 128 x 96 out" in checked.output.splitlines()[-1]
-    for folder, out in ((lr, "a"), (given, "b")):
+    for folder, out in ((lr, "a"), (source, "b")):
         done = runner.invoke(stss, ["run", str(folder), "-o", str(tmp_path / out), "--weights", "bilinear", "--backend", "ref"])
         assert done.exit_code == 0, done.output
     assert "profile: stss" in runner.invoke(stss, ["run", str(lr), "-o", str(tmp_path / "c"), "--backend", "ref"]).output
     images = [read_rgb(tmp_path / out / "frame.0003.exr") for out in "ab"]
     assert np.isfinite(images[0]).all()
     assert open_sequence(lr).solves_camera
-    assert not open_sequence(given).solves_camera
+    assert not open_sequence(source).solves_camera
     assert read_header(tmp_path / "a" / "frame.0003.exr").attributes["stss:profile"] == "stss"
     assert set(read_channels(tmp_path / "a" / "frame.0003.exr", ["R"])) == {"R"}
 

@@ -27,12 +27,12 @@ def buffers(number, frame):
 
 def frames(*, jittered, moving):
     """Frames of the demo's scene; the camera stands or travels, its target shakes by the jitter. Motion is the camera's own."""
-    made = []
+    frames_made = []
     for number in range(len(JITTER)):
         scene = DEMO if moving else replace(DEMO, camera=still(DEMO.camera))
         shaken = replace(scene, camera=shaken_by(scene.camera)) if jittered else scene
-        made.append(buffers(number, render(shaken, number, *SIZE)))
-    return list(pairwise(made))
+        frames_made.append(buffers(number, render(shaken, number, *SIZE)))
+    return list(pairwise(frames_made))
 
 
 def still(camera):
@@ -63,9 +63,9 @@ def test_a_jitter_that_motion_has_is_found_where_the_camera_stands():
         (before, replace(now, motion=now.motion - offset))
         for (before, now), offset in zip(frames(jittered=False, moving=False), offsets, strict=True)
     ]
-    found = judge_static_geometry(pairs).jitter
-    assert np.abs(np.array(found.in_motion) + offsets).max() < 1e-3
-    assert any("all static geometry moves alike" in line for line in found.lines)
+    jitter = judge_static_geometry(pairs).jitter
+    assert np.abs(np.array(jitter.in_motion) + offsets).max() < 1e-3
+    assert any("all static geometry moves alike" in line for line in jitter.lines)
 
 
 def test_check_warns_of_it(write_frames):

@@ -27,7 +27,7 @@ def stss(*arguments):
     return call(*arguments, seconds=SECONDS)
 
 
-def made(result):
+def require_success(result):
     assert result.returncode == 0, result.stderr
     return result
 
@@ -55,7 +55,7 @@ def by_network(device, frames, weights, tmp_path_factory):
     out = tmp_path_factory.mktemp("random") / "out"
     arguments = [sys.executable, "-m", "stss", "run", frames, "-o", out, "--weights", weights]
     result = subprocess.run(arguments, capture_output=True, text=True, timeout=SECONDS, check=False)
-    assert "5 SF, 5 EF written" in made(result).stderr
+    assert "5 SF, 5 EF written" in require_success(result).stderr
     return out
 
 
@@ -63,7 +63,7 @@ def by_network(device, frames, weights, tmp_path_factory):
 def plain(frames, tmp_path_factory):
     """Output of the whole sequence without a network. Nothing may be changed in it."""
     out = tmp_path_factory.mktemp("plain") / "out"
-    made(stss("run", frames, "-o", out, *PLAIN))
+    require_success(stss("run", frames, "-o", out, *PLAIN))
     return out
 
 
@@ -104,13 +104,13 @@ def test_the_frames_are_what_python_gets(frames, weights, by_network):
     outputs = list(Supersampler(backend=open_backend("cl", load(weights).weights))(map(read.load, read.numbers)))
     assert [output.number for output in outputs] == list(range(FRAMES))
     for output in outputs:
-        written = read_rgb(by_network / f"frame.{output.number:04d}.exr")
-        np.testing.assert_array_equal(written, output.image.astype(np.float16))
+        image = read_rgb(by_network / f"frame.{output.number:04d}.exr")
+        np.testing.assert_array_equal(image, output.image.astype(np.float16))
 
 
 def test_a_range_has_the_bits_of_the_whole_and_says_what_was_skipped(frames, weights, by_network, tmp_path):
     out = tmp_path / "some"
-    result = made(stss("run", frames, "-o", out, "--weights", weights, "--frames", "5:6"))
+    result = require_success(stss("run", frames, "-o", out, "--weights", weights, "--frames", "5:6"))
     assert names(out) == ["frame.0005.exr", "frame.0006.exr"]
     assert frames_of(out).items() <= frames_of(by_network).items()
     assert "network computed: 2 whole" in result.stderr
@@ -127,30 +127,30 @@ def test_a_range_has_the_bits_of_the_whole_and_says_what_was_skipped(frames, wei
     ids=" ".join,
 )
 def test_options_go_together(device, frames, weights, tmp_path, others):
-    made(stss("run", frames, "-o", tmp_path / "out", "--frames", "0:5", "--weights", weights, *others))
+    require_success(stss("run", frames, "-o", tmp_path / "out", "--frames", "0:5", "--weights", weights, *others))
     assert len(names(tmp_path / "out")) == 6
 
 
 def test_resume_makes_anew_what_other_settings_made(frames, plain, tmp_path):
     again = ["run", frames, "-o", shutil.copytree(plain, tmp_path / "out"), *PLAIN, "--resume", "--transfer", "none"]
-    assert "0 kept" in made(stss(*again)).stderr
-    assert "10 kept" in made(stss(*again)).stderr
+    assert "0 kept" in require_success(stss(*again)).stderr
+    assert "10 kept" in require_success(stss(*again)).stderr
 
 
 def test_an_option_s_old_name_is_one_line(frames, plain, tmp_path):
     """``hdr`` gives the files of the default."""
-    result = made(stss("run", frames, "-o", tmp_path / "out", *PLAIN, "--frames", "0:3", "--transfer", "hdr"))
+    result = require_success(stss("run", frames, "-o", tmp_path / "out", *PLAIN, "--frames", "0:3", "--transfer", "hdr"))
     (line,) = (line for line in result.stderr.splitlines() if "hdr" in line)
     assert line.startswith("warning: --transfer hdr is gone: srgb carries highlights past the network")
     assert frames_of(tmp_path / "out").items() <= frames_of(plain).items()
 
 
 def test_png_is_display_referred(frames, plain, tmp_path):
-    made(stss("run", frames, "-o", tmp_path / "png", "--format", "png", "--frames", "4:4", *PLAIN))
+    require_success(stss("run", frames, "-o", tmp_path / "png", "--format", "png", "--frames", "4:4", *PLAIN))
     linear = read_rgb(plain / "frame.0004.exr")
-    shown = read_rgb(tmp_path / "png" / "frame.0004.png")
+    image = read_rgb(tmp_path / "png" / "frame.0004.png")
     # half a step of 8 bits, and what half precision loses of values up to 1: at most 2**-11
-    assert np.abs(transfer("srgb").display(linear) - shown).max() <= 0.5 / 255 + 2**-10
+    assert np.abs(transfer("srgb").display(linear) - image).max() <= 0.5 / 255 + 2**-10
     assert read_header(tmp_path / "png" / "frame.0004.png").attributes["stss:kind"] == "SF"
 
 
@@ -207,10 +207,10 @@ def test_json_has_what_it_is_for(sequence, plain, weights, command, key):
 def test_blender_with_the_authors_weights(device, reference_data, blender_camera, tmp_path):
     """The figures of the specification's page, to 0.1 dB: RGB PSNR over frames 6 to 14."""
     weights = tmp_path / "arena.safetensors"
-    made(stss("weights", "import", reference_data / "checkpoints" / "arena.pkl", "-o", weights))
+    require_success(stss("weights", "import", reference_data / "checkpoints" / "arena.pkl", "-o", weights))
     common = ["run", reference_data / "blender" / "lr", "--profile", "blender", "--camera", blender_camera, "--frames", "6:14"]
-    for name, chosen, sf, ef in (("arena", weights, 31.0, 29.2), ("bilinear", "bilinear", 29.7, 27.8)):
-        made(stss(*common, "-o", tmp_path / name, "--weights", chosen))
+    for name, source, sf, ef in (("arena", weights, 31.0, 29.2), ("bilinear", "bilinear", 29.7, 27.8)):
+        require_success(stss(*common, "-o", tmp_path / name, "--weights", source))
         result = stss("compare", tmp_path / name, reference_data / "blender" / "hr", "--json")
         means = json.loads(result.stdout)["means"]
         assert abs(means["SF"]["all"]["psnr_rgb"] - sf) <= 0.1

@@ -120,8 +120,8 @@ def test_resume_keeps_what_is_right_and_makes_the_rest(threads, frames, tmp_path
     with pytest.raises(InputError, match="--resume"):
         on_cluster(frames, out)
     for done in ([3, 17], []):
-        found = on_cluster(frames, out, resume=True)
-        assert [report.number for report in found.frames if report.outcome == "done"] == done
+        summary = on_cluster(frames, out, resume=True)
+        assert [report.number for report in summary.frames if report.outcome == "done"] == done
         assert files(out) == whole
 
 
@@ -131,15 +131,15 @@ def test_a_bad_frame_is_reported_as_in_one_process(threads, write_frames, tmp_pa
             channels["R" if "R" in channels else "normal.X"][2, 3] = np.nan
 
     threads()
-    sequence, said = open_sequence(write_frames(FRAMES, rendered=RENDERED, size=SIZE, change=spoil), "stss"), []
+    sequence, lines = open_sequence(write_frames(FRAMES, rendered=RENDERED, size=SIZE, change=spoil), "stss"), []
     for work in (on_cluster, in_one_process):
-        with pytest.raises(InputError) as caught:
-            work(sequence, tmp_path / f"out{len(said)}")
-        said.append(str(caught.value))
-    assert said[0] == said[1]
+        with pytest.raises(InputError) as error:
+            work(sequence, tmp_path / f"out{len(lines)}")
+        lines.append(str(error.value))
+    assert lines[0] == lines[1]
     assert all((tmp_path / "out0" / f"frame.{n:04d}.exr").exists() for n in range(13))
-    found, alone = (work(sequence, tmp_path / work.__name__, keep_going=True) for work in (on_cluster, in_one_process))
-    assert found.frames == alone.frames
+    cluster, alone = (work(sequence, tmp_path / work.__name__, keep_going=True) for work in (on_cluster, in_one_process))
+    assert cluster.frames == alone.frames
     assert files(tmp_path / "on_cluster") == files(tmp_path / "in_one_process")
 
 
@@ -183,28 +183,28 @@ def test_workers_of_different_kinds_are_refused(threads, frames, tmp_path):
 
 
 def sockets(process):
-    found = []
+    ends = []
     for end in Path(f"/proc/{process}/fd").iterdir():
         with contextlib.suppress(FileNotFoundError):  # closed since it was listed
-            found += [end] * str(end.readlink()).startswith("socket:")
-    return found
+            ends += [end] * str(end.readlink()).startswith("socket:")
+    return ends
 
 
 @pytest.mark.skipif(not Path("/proc/self/fd").exists(), reason="no /proc")
 def test_processes_here_have_no_socket_and_may_die(frames, tmp_path):
     """No socket: nobody else can call them. One is killed when the first chunk is in."""
-    killed, found = [], []
+    killed, counts = [], []
 
     def on_frame(report):
         if not killed:
             children = multiprocessing.active_children()
-            found.extend(socket for child in children for socket in sockets(child.pid))
+            counts.extend(socket for child in children for socket in sockets(child.pid))
             killed.append(children[0].pid)
             os.kill(children[0].pid, signal.SIGKILL)
 
     on_cluster(frames, tmp_path / "many", "local:2", on_frame=on_frame)
     assert killed
-    assert not found
+    assert not counts
     assert not multiprocessing.active_children()
     assert_as_in_one_process(frames, tmp_path / "many")
 
@@ -214,11 +214,11 @@ def test_a_process_that_hangs_is_ended():
     workers = LocalWorkers(1)
     executor = workers.start()
     os.kill(executor.submit(os.getpid).result(), signal.SIGSTOP)
-    asked = executor.submit(os.getpid)
+    future = executor.submit(os.getpid)
     workers.end(executor, hangs=True)
     assert not multiprocessing.active_children()
     with pytest.raises((BrokenExecutor, CancelledError)):
-        asked.result()
+        future.result()
 
 
 @pytest.mark.skipif(os.name == "nt", reason="no process groups")
@@ -231,8 +231,8 @@ def test_an_interrupt_is_one_line_that_says_how_to_go_on(frames, tmp_path, where
         while process.poll() is None and not list(out.glob("frame.*")):
             time.sleep(0.005)
         os.killpg(process.pid, signal.SIGINT)
-        said = process.communicate(timeout=60)[1]
-    assert (process.returncode, said) == (130, "stss: stopped; to go on, give the same command with --resume\n")
+        text = process.communicate(timeout=60)[1]
+    assert (process.returncode, text) == (130, "stss: stopped; to go on, give the same command with --resume\n")
     assert not [path for path in out.rglob("*") if path.name.startswith(".")]
     with pytest.raises(ProcessLookupError):  # noqa: PT012
         for _ in range(300):  # multiprocessing's own helper ends a moment later
@@ -275,17 +275,17 @@ def test_a_worker_of_a_scheduler_may_hang(scheduler, frames, tmp_path, monkeypat
 
 
 @pytest.mark.parametrize(
-    ("address", "said"),
+    ("address", "words"),
     [
         ("local:x", "local:N"),
         ("nowhere", "tcp://host:8786"),
         ("tcp://127.0.0.1:1", "no scheduler answers"),
     ],
 )
-def test_an_address_that_is_none_is_one_line(address, said, monkeypatch):
+def test_an_address_that_is_none_is_one_line(address, words, monkeypatch):
     if address.startswith("tcp"):
         pytest.importorskip("distributed", reason="the extra cluster is not installed")
     monkeypatch.setattr("stss.cluster.workers.TIMEOUT", 1)
-    with pytest.raises(InputError, match=said) as caught, connect(address):
+    with pytest.raises(InputError, match=words) as error, connect(address):
         pass
-    assert "\n" not in str(caught.value)
+    assert "\n" not in str(error.value)

@@ -29,10 +29,10 @@ WEIGHTS = load(BILINEAR)
 
 @pytest.fixture
 def openjd():
-    found = Path(sys.executable).with_name("openjd")
-    if not found.exists():
+    program = Path(sys.executable).with_name("openjd")
+    if not program.exists():
         pytest.skip("no openjd-cli: pip install --group test")
-    return found
+    return program
 
 
 @pytest.fixture
@@ -69,9 +69,9 @@ def openjd_run(openjd, tmp_path, words):
 
 
 def gather_words(frames, out, last=7):
-    given = {"Frames": frames, "Out": out, "Profile": "stss", "First": 0, "Last": last, "Chunk": 5, "LastTask": last // 5}
-    given["Options"] = " ".join(PLAIN)
-    return [TEMPLATE, "--step", "Gather", "--run-dependencies", *(w for n, v in given.items() for w in ("-p", f"{n}={v}"))]
+    parameters = {"Frames": frames, "Out": out, "Profile": "stss", "First": 0, "Last": last, "Chunk": 5, "LastTask": last // 5}
+    parameters["Options"] = " ".join(PLAIN)
+    return [TEMPLATE, "--step", "Gather", "--run-dependencies", *(w for n, v in parameters.items() for w in ("-p", f"{n}={v}"))]
 
 
 def test_the_command_of_the_page_runs_as_it_stands(openjd, write_frames, device, tmp_path):
@@ -127,7 +127,7 @@ def test_parts_make_what_one_run_makes(parts, frames, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("gone", "asked", "missing"),
+    ("missing_task", "tasks", "missing"),
     [
         ("1", [], ""),
         ("1", ["--frames", "0:7"], "missing: frames 5, 6, 7: in no part"),
@@ -135,16 +135,16 @@ def test_parts_make_what_one_run_makes(parts, frames, tmp_path):
         ("", ["--frames", "0:7"], ""),
     ],
 )
-def test_a_task_that_never_ran_is_named(parts, frames, tmp_path, gone, asked, missing):
-    if gone:
-        shutil.move(parts / gone, tmp_path / "late")
-    words = ("gather", parts, "-o", tmp_path / "out", "--sequence", frames, *asked)
+def test_a_task_that_never_ran_is_named(parts, frames, tmp_path, missing_task, tasks, missing):
+    if missing_task:
+        shutil.move(parts / missing_task, tmp_path / "late")
+    words = ("gather", parts, "-o", tmp_path / "out", "--sequence", frames, *tasks)
     done = call(*words)
     assert done.returncode == bool(missing)
     assert missing in done.stderr
     assert ("missing" in done.stderr) == bool(missing)
     if missing:  # the task runs again
-        shutil.move(tmp_path / "late", parts / gone)
+        shutil.move(tmp_path / "late", parts / missing_task)
         assert call(*words).returncode == 0
         assert files(tmp_path / "out") == files(tmp_path / "one")
 
@@ -200,10 +200,10 @@ FAULTS = {  # what becomes of parts, target and frames -> what is said
 
 @pytest.mark.parametrize("fault", FAULTS)
 def test_what_is_not_gathered_is_told_and_stays(parts, frames, tmp_path, fault):
-    becomes, said = FAULTS[fault]
+    becomes, words = FAULTS[fault]
     becomes(parts, tmp_path / "out", frames)
     before = files(tmp_path)
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=words):
         gather(parts, tmp_path / "out", frames)
     # The list may be tidied.
     assert files(tmp_path) | {f"out/{SUMS}": b""} == before | {f"out/{SUMS}": b""}

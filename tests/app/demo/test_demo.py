@@ -25,16 +25,16 @@ def test_files_hold_what_was_rendered(demo):
     assert [len(read_header(demo_path(demo / "frames", n)).channels) for n in range(4)] == [19, 16, 19, 16]
     path, frame = demo_path(demo / "frames", 2), render(DEMO, 2, *SIZE, samples=INPUT_SAMPLES)
     names = read_header(path).channels
-    written, expected = read_channels(path, names), frame_channels(frame, rendered=True)
+    channels, expected = read_channels(path, names), frame_channels(frame, rendered=True)
     assert set(names) == set(expected)
     for name, plane in expected.items():
         if name[0] in "RGB" or name.startswith(("basecolor", "roughness", "metallic")):
-            assert np.max(np.abs(written[name] - plane) - 2.0**-11 * np.abs(plane)) <= 0, name
+            assert np.max(np.abs(channels[name] - plane) - 2.0**-11 * np.abs(plane)) <= 0, name
         else:
-            np.testing.assert_array_equal(written[name], plane, err_msg=name)
+            np.testing.assert_array_equal(channels[name], plane, err_msg=name)
     sky = np.isinf(frame.depth)
-    assert np.all(written["depth.Z"][sky] == np.float32(BACKGROUND))
-    np.testing.assert_array_equal(written["depth.Z"][~sky], frame.depth[~sky].astype(np.float32))
+    assert np.all(channels["depth.Z"][sky] == np.float32(BACKGROUND))
+    np.testing.assert_array_equal(channels["depth.Z"][~sky], frame.depth[~sky].astype(np.float32))
 
 
 def test_an_earlier_demo_is_only_replaced_when_asked(tmp_path):
@@ -50,18 +50,18 @@ def test_an_earlier_demo_is_only_replaced_when_asked(tmp_path):
 @pytest.mark.parametrize("ends", [None, DeviceError("self-test: failed"), KeyboardInterrupt()], ids=repr)
 def test_the_device_is_tested_while_the_scene_is_rendered(tmp_path, monkeypatch, ends):
     """What ends the test of the device ends the rendering, too: at the next frame."""
-    frames, tested, begun, made = 4, [], Event(), demonstration.render
+    frames, tested, start, render = 4, [], Event(), demonstration.render
 
     def choose(name, tell, *, trial):
         tested.append((trial, len([*tmp_path.glob("frames/*.exr")])))
         if ends:
             raise ends
-        begun.set()
+        start.set()
 
     def second_waits(scene, number, *size, samples):
         if number == 1:
-            begun.wait(0.5 if ends else 30)
-        return made(scene, number, *size, samples=samples)
+            start.wait(0.5 if ends else 30)
+        return render(scene, number, *size, samples=samples)
 
     monkeypatch.setattr("stss.devices.selection.choose", choose)
     monkeypatch.setattr(demonstration, "render", second_waits)

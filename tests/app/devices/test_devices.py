@@ -85,9 +85,9 @@ def test_a_graphics_processor_goes_before_the_fastest_processor_unless_it_fails(
     assert tested == ["B: gpu", "C: gpu"]
     hung = Verdict("hung", "no answer within 60 s")
     machine({"A: slow": (CPU, passed(1)), "B: fast": (CPU, passed(3)), "C: gpu": (GPU, hung)})
-    said = []
-    assert choose(None, said.append) == "B: fast"
-    assert said[-1] == "not used: C: gpu hung: no answer within 60 s"
+    lines = []
+    assert choose(None, lines.append) == "B: fast"
+    assert lines[-1] == "not used: C: gpu hung: no answer within 60 s"
     with pytest.raises(DeviceError, match=r"^device 'radeon': expected part of one of A: slow, B: fast, C: gpu$"):
         choose("radeon")
     machine({})
@@ -119,9 +119,9 @@ def test_what_is_tested_has_the_layers_that_weights_need(machine, weights, trial
 
 def test_a_named_device_that_failed_is_refused_unless_trusted(machine, monkeypatch):
     machine({"A: cpu": (CPU, passed(1)), "B: gpu": (GPU, Verdict("failed", "exp: off by 90 ulp"))})
-    with pytest.raises(DeviceError) as caught:
+    with pytest.raises(DeviceError) as error:
         choose("gpu")
-    assert str(caught.value) == (
+    assert str(error.value) == (
         "self-test: B: gpu failed: exp: off by 90 ulp: stss devices --again tests anew, STSS_TRUST_DEVICE=1 uses it all the same"
     )
     monkeypatch.setenv("STSS_TRUST_DEVICE", "1")
@@ -145,7 +145,7 @@ def test_the_table_has_every_device_the_best_first(machine, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("target", "flags", "said"),
+    ("target", "flags", "words"),
     [
         ("znver3", {"avx2", "avx512f"}, "AVX-512"),
         ("znver3", {"avx2"}, None),
@@ -153,7 +153,7 @@ def test_the_table_has_every_device_the_best_first(machine, monkeypatch):
     ],
 )
 @pytest.mark.parametrize("kind", [CPU, GPU])
-def test_what_a_processor_has_and_the_compiler_does_not_use_is_said(monkeypatch, target, flags, said, kind):
+def test_what_a_processor_has_and_the_compiler_does_not_use_is_said(monkeypatch, target, flags, words, kind):
     monkeypatch.setattr(devices, "cpu_flags", lambda: frozenset(flags))
     handle = fake("P", "one", kind, target=target)
     monkeypatch.setattr(cl_device, "find_devices", lambda: [handle])
@@ -161,8 +161,8 @@ def test_what_a_processor_has_and_the_compiler_does_not_use_is_said(monkeypatch,
     out = io.StringIO()
     rows = devices.rows()
     devices.print_rows(rows, Console(file=out, width=60))
-    line = f"P: one: kernels are compiled for {target} and do not use this processor's {said}; another runtime may know it: pip install "
-    assert (line in out.getvalue()) == (said is not None and kind == CPU)
+    line = f"P: one: kernels are compiled for {target} and do not use this processor's {words}; another runtime may know it: pip install "
+    assert (line in out.getvalue()) == (words is not None and kind == CPU)
     assert rows[0].target == target
 
 
@@ -193,10 +193,10 @@ NO_PASS = [
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="this system does not tell processor time")
 @pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
-@pytest.mark.parametrize(("text", "said"), NO_PASS)
-def test_what_is_no_pass_says_why(monkeypatch, text, said):
+@pytest.mark.parametrize(("text", "words"), NO_PASS)
+def test_what_is_no_pass_says_why(monkeypatch, text, words):
     monkeypatch.setenv("STSS_SELFTEST_SECONDS", "1")
-    assert str(run_selftest("A: b #2", child(text))) == said
+    assert str(run_selftest("A: b #2", child(text))) == words
 
 
 @pytest.mark.parametrize("limit", ["soon", "0", "nan", "86401"])
@@ -294,13 +294,13 @@ def test_a_slow_clock_is_no_hang(monkeypatch):
 def test_what_a_self_test_leaves_behind_ends_with_it(tmp_path):
     """It holds the output open, and would be waited for."""
     pid = tmp_path / "pid"
-    left = f"if os.fork() == 0:\n    open({str(pid)!r}, 'w').write(str(os.getpid()))\n    time.sleep(100)\n"
+    program = f"if os.fork() == 0:\n    open({str(pid)!r}, 'w').write(str(os.getpid()))\n    time.sleep(100)\n"
     wait = f"while not os.path.exists({str(pid)!r}) or not open({str(pid)!r}).read(): time.sleep(0.01)\n"
-    got = run_selftest(NAME, child(left + wait + ANSWER))
+    got = run_selftest(NAME, child(program + wait + ANSWER))
     assert got.passed
     assert got.seconds < 50
-    gone = time.monotonic() + 20  # a signal is on its way for a moment
-    while runs(pid.read_text()) and time.monotonic() < gone:
+    deadline = time.monotonic() + 20  # a signal is on its way for a moment
+    while runs(pid.read_text()) and time.monotonic() < deadline:
         time.sleep(0.01)
     assert not runs(pid.read_text())
 
@@ -328,15 +328,13 @@ def test_what_does_not_last_is_not_kept(monkeypatch, kind):
 @pytest.mark.skipif(os.name == "nt", reason="the test holds a lock by flock")
 def test_one_process_tests_while_others_wait(tmp_path):
     """All have its verdict: none of several first starts at once is refused."""
-    begun, go, waiting = tmp_path / "begun", tmp_path / "go", threading.Barrier(4, timeout=60)
-    slow = child(
-        f"open({str(begun)!r}, 'a').write('x')\n" + f"while not os.path.exists({str(go)!r}): time.sleep(0.01)\n" + ANSWER
-    )
-    got, told = [], []
+    mark, go, waiting = tmp_path / "begun", tmp_path / "go", threading.Barrier(4, timeout=60)
+    slow = child(f"open({str(mark)!r}, 'a').write('x')\n" + f"while not os.path.exists({str(go)!r}): time.sleep(0.01)\n" + ANSWER)
+    got, lines = [], []
 
     def start():
         def tell(line):
-            told.append(line)
+            lines.append(line)
             if line.startswith("waiting"):
                 waiting.wait()
 
@@ -350,8 +348,8 @@ def test_one_process_tests_while_others_wait(tmp_path):
     for each in starts:
         each.join(60)
     assert [each.outcome for each in got] == ["passed"] * 4
-    assert begun.read_text() == "x"
-    assert sorted(line.split()[0] for line in told) == ["first", "waiting", "waiting", "waiting"]
+    assert mark.read_text() == "x"
+    assert sorted(line.split()[0] for line in lines) == ["first", "waiting", "waiting", "waiting"]
 
 
 # A real device

@@ -31,7 +31,7 @@ from tests.test_api import names
 ROOT = Path(__file__).parents[3]
 PAGES = [page for page in sorted(ROOT.rglob("*.md")) if not {".venv", ".venv-lowest", "node_modules"} & {*page.parts}]
 BLOCK = re.compile(r"^```python\n(.*?)^```", re.M | re.S)
-CODE = [(str(page.relative_to(ROOT)), found[1]) for page in PAGES for found in BLOCK.finditer(page.read_text(encoding="utf-8"))]
+CODE = [(str(page.relative_to(ROOT)), match[1]) for page in PAGES for match in BLOCK.finditer(page.read_text(encoding="utf-8"))]
 SIZE = 16, 24
 
 
@@ -50,9 +50,9 @@ def table_of(name, first):
 
 def right(number):
     """A display frame in the conventions of the specification, float64; the even ones are rendered."""
-    seen = render(DEMO, number, *SIZE)
-    planes = {field.name: getattr(seen, field.name) for field in fields(seen)}
-    planes["position"] = np.where(np.isfinite(seen.depth)[..., None], seen.position, 1e7)
+    view = render(DEMO, number, *SIZE)
+    planes = {field.name: getattr(view, field.name) for field in fields(view)}
+    planes["position"] = np.where(np.isfinite(view.depth)[..., None], view.position, 1e7)
     return planes if number % 2 == 0 else {name: plane for name, plane in planes.items() if name != "color"}
 
 
@@ -79,12 +79,15 @@ def buffers(number):
 
 
 def of_engines(device, demo, folder):
-    def after(made):
-        loop, plain = made["loop"], stss.Supersampler("realtime")
+    def after(scope):
+        loop, plain = scope["loop"], stss.Supersampler("realtime")
         for number in range(4):
-            expected, given = buffers(number), stss.convert(number, engine(number), made["rules"], camera=world_to_camera(number))
+            expected, converted = (
+                buffers(number),
+                stss.convert(number, engine(number), scope["rules"], camera=world_to_camera(number)),
+            )
             for name in BUFFERS:
-                one, other = getattr(given, name), getattr(expected, name)
+                one, other = getattr(converted, name), getattr(expected, name)
                 one = 100 * one if name == "depth" else one  # any unit: metres here
                 if other is None:
                     assert one is None, name
@@ -93,18 +96,18 @@ def of_engines(device, demo, folder):
                 assert (both == np.isfinite(other)).all(), name
                 # float32 rounds what is stored and what is computed: four roundings; NoV also the camera, 10 m away, to 1e-6 of it.
                 assert (np.abs(one[both] - other[both]) <= 2**-21 * np.maximum(np.abs(other[both]), 1)).all(), name
-            image = made["frame"](number, engine(number), world_to_camera(number), number == 2)
+            image = scope["frame"](number, engine(number), world_to_camera(number), number == 2)
             want = plain.push(replace(expected, cut=number == 2)).image
             assert np.abs(image - want).max() < 2**-16, number  # measured 2**-22: what was rounded, through the network
         loop.reset()
-        assert made["frame"](5, engine(5), world_to_camera(5), False) is None
+        assert scope["frame"](5, engine(5), world_to_camera(5), False) is None
 
     return {}, after
 
 
 def of_sequences(device, demo, folder):
     (folder / "frames").symlink_to(demo / "frames")
-    return {}, lambda made: None
+    return {}, lambda scope: None
 
 
 def of_some_frames(device, demo, folder):
@@ -114,39 +117,39 @@ def of_some_frames(device, demo, folder):
 def of_frames(device, demo, folder):
     inputs = films.frame_inputs(SIZE)
     color, gbuffer, mask, history = films.network_inputs(SIZE)
-    given = {"color": color, "gbuffer": gbuffer, "mask": mask, "history": history, "steps": inputs.steps}
-    given |= {name: getattr(inputs, name) for name in ("colors", "motions", "nov", "stencils", "normals", "positions")}
+    values = {"color": color, "gbuffer": gbuffer, "mask": mask, "history": history, "steps": inputs.steps}
+    values |= {name: getattr(inputs, name) for name in ("colors", "motions", "nov", "stencils", "normals", "positions")}
 
-    def after(made):
-        assert made["image"].shape == (2 * SIZE[0], 2 * SIZE[1], 3)
-        assert made["valid"].shape == SIZE
+    def after(scope):
+        assert scope["image"].shape == (2 * SIZE[0], 2 * SIZE[1], 3)
+        assert scope["valid"].shape == SIZE
 
-    return given, after
+    return values, after
 
 
 def of_wrapped_buffers(device, demo, folder):
     window, steps = films.calls_of(films.film(6 * ["moving"], SIZE))[6]
     buffer = cl.Buffer(device.context, cl.mem_flags.COPY_HOST_PTR | cl.mem_flags.READ_WRITE, hostbuf=window[-1].gbuffer)
     theirs = np.empty((2 * SIZE[0], 2 * SIZE[1], 3), np.float32)
-    given = {"handle": device.handle, "context": device.context, "queue": device.queue, "buffer": buffer, "window": window}
-    given |= {"height": SIZE[0], "width": SIZE[1], "steps": steps, "theirs": theirs}
+    values = {"handle": device.handle, "context": device.context, "queue": device.queue, "buffer": buffer, "window": window}
+    values |= {"height": SIZE[0], "width": SIZE[1], "steps": steps, "theirs": theirs}
 
-    def after(made):
-        assert made["image"] is theirs
-        films.assert_same((made["gbuffer"].get(), made["valid"]), (window[-1].gbuffer, made["valid"]))
+    def after(scope):
+        assert scope["image"] is theirs
+        films.assert_same((scope["gbuffer"].get(), scope["valid"]), (window[-1].gbuffer, scope["valid"]))
 
-    return given, after
+    return values, after
 
 
 def of_frames_ahead(device, demo, folder):
-    shown = []
-    return {"calls": films.calls_of(films.film(4 * ["moving"], SIZE))[1:], "show": shown.append}, lambda made: len(shown) == 4
+    images = []
+    return {"calls": films.calls_of(films.film(4 * ["moving"], SIZE))[1:], "show": images.append}, lambda scope: len(images) == 4
 
 
 def of_ports(device, demo, folder):
     (folder / "my_port").write_text(f'#!/bin/sh\nexec {shlex.quote(sys.executable)} -m stss port --backend ref "$1"\n')
     (folder / "my_port").chmod(stat.S_IRWXU)
-    return {}, lambda made: None
+    return {}, lambda scope: None
 
 
 NEEDS = {
@@ -165,14 +168,14 @@ NEEDS = {
 def test_blocks_run_as_they_stand(name, device, demo, tmp_path, monkeypatch):
     """One after the other, as somebody types them who reads the page from its beginning."""
     monkeypatch.chdir(tmp_path)
-    made = {"weights": random_weights(0)}
+    scope = {"weights": random_weights(0)}
     for block in [block for where, block in CODE if where == name]:
-        given, after = next(
+        values, after = next(
             (need(device, demo, tmp_path) for words, need in NEEDS.items() if words in block), ({}, lambda _: None)
         )
-        made |= given
-        exec(compile(block, name, "exec"), made)
-        assert after(made) in (None, True), block
+        scope |= values
+        exec(compile(block, name, "exec"), scope)
+        assert after(scope) in (None, True), block
 
 
 def test_a_block_that_is_wrong_would_be_found(device, demo, tmp_path, monkeypatch):
@@ -180,10 +183,10 @@ def test_a_block_that_is_wrong_would_be_found(device, demo, tmp_path, monkeypatc
     block = next(block for name, block in CODE if name == "docs/engines.md")
     wrong = block.replace('"reversed": True', '"reversed": False')
     assert wrong != block
-    made = {}
-    exec(wrong, made)
+    scope = {}
+    exec(wrong, scope)
     with pytest.raises(AssertionError):
-        of_engines(device, demo, tmp_path)[1](made)
+        of_engines(device, demo, tmp_path)[1](scope)
 
 
 @pytest.mark.parametrize("name", profile_names())
@@ -282,8 +285,8 @@ def test_code_in_running_text(demo, tmp_path, monkeypatch):
 
 def test_memory_that_a_loop_keeps():
     one = prepare(buffers(0), transfer("srgb"), "scale")
-    kept = sum(getattr(one, field.name).nbytes for field in fields(one) if field.name not in ("number", "carried"))
-    assert f"{kept // (SIZE[0] * SIZE[1])} bytes a pixel are kept for each of six frames" in " ".join(page("api.md").split())
+    size = sum(getattr(one, field.name).nbytes for field in fields(one) if field.name not in ("number", "carried"))
+    assert f"{size // (SIZE[0] * SIZE[1])} bytes a pixel are kept for each of six frames" in " ".join(page("api.md").split())
 
 
 @pytest.mark.parametrize("missing", BUFFERS)
@@ -312,13 +315,13 @@ def test_a_camera_that_is_none_is_refused(camera):
         stss.convert(0, {name: plane for name, plane in right(0).items() if name != "nov"}, camera=camera)
 
 
-def stored(value, channels):
+def one_pixel(value, channels):
     return np.full((1, 1, channels), value, np.float32)
 
 
 def motion(**change):
     """Pixels of a stored (1, 1) in an image of one pixel."""
-    return motion_in_pixels(stored(1, 2), stss.load_profile("stss", motion=change).motion)[0, 0].tolist()
+    return motion_in_pixels(one_pixel(1, 2), stss.load_profile("stss", motion=change).motion)[0, 0].tolist()
 
 
 def depth(value, **change):
@@ -350,7 +353,7 @@ KEYS = {
         and depth(1, kind="device", near=0.5, far=64, reversed=False) == math.inf
     ),
     "[normal]": lambda: (
-        world_normal(stored(1, 3), replace(stss.load_profile("stss").normal, bias=0.5, scale=2))[0].tolist() == [[[1, 1, 1]]]
+        world_normal(one_pixel(1, 3), replace(stss.load_profile("stss").normal, bias=0.5, scale=2))[0].tolist() == [[[1, 1, 1]]]
     ),
     "base": lambda: loaded('base = "mitsuba"\nunits_per_cm = 2').depth.kind == "ray",
     "view": lambda: stss.load_profile("blender", view="right").view == "right",
@@ -386,10 +389,10 @@ def test_keys_of_a_profile():
     rows = {
         key: row for row in section.splitlines() if row.startswith("| `") for key in re.findall(r"`([^`]+)`", row.split("|")[1])
     }
-    with pytest.raises(InputError, match=r"nothing: unknown key") as told:
+    with pytest.raises(InputError, match=r"nothing: unknown key") as error:
         stss.load_profile("stss", nothing=1)
-    known, tables = re.search("known are (.*) and the tables (.*)", str(told.value)).groups()
-    assert {*known.split(", "), *(f"[{name}]" for name in tables.split(", "))} == rows.keys() == KEYS.keys()
+    keys, tables = re.search("known are (.*) and the tables (.*)", str(error.value)).groups()
+    assert {*keys.split(", "), *(f"[{name}]" for name in tables.split(", "))} == rows.keys() == KEYS.keys()
     for key, holds in KEYS.items():
         assert holds(), key
     words = {
@@ -444,17 +447,17 @@ def test_what_the_page_says_of_a_built_in_profile(name):
 
 def test_names_of_the_api():
     """The other packages' names are compared in tests/test_api.py; here what an output and `Buffers` have."""
-    made = loop().push(buffers(0))
+    output = loop().push(buffers(0))
     sentence = re.search(r"An output has (.*?)\. Its arrays", " ".join(prose("api.md").split()))[1]
-    assert set(re.findall(r"`(\w+)`", sentence)) == {field.name for field in fields(made)}
+    assert set(re.findall(r"`(\w+)`", sentence)) == {field.name for field in fields(output)}
     assert names("stss")
 
 
 def test_materials_of_unreal_are_those_that_its_profile_reads():
     """What the list of clicks calls them."""
     profile, text = stss.load_profile("unreal-mrq"), section_of("unreal-mrq")
-    made = set(re.findall(r"`(\w+)`", re.search(r"2\. Six materials(.*?)\*\*Do not", text, re.S)[1]))
+    materials = set(re.findall(r"`(\w+)`", re.search(r"2\. Six materials(.*?)\*\*Do not", text, re.S)[1]))
     own = {"normal", "position", "stencil", "base_color", "roughness", "metallic"}
-    assert made == {profile.channels[buffer][-1][0].removeprefix("FinalImage").removesuffix(".R") for buffer in own}
+    assert materials == {profile.channels[buffer][-1][0].removeprefix("FinalImage").removesuffix(".R") for buffer in own}
     engine = set(re.findall(r"\*(MovieRenderQueue_\w+)\*", text))
     assert engine == {profile.channels[b][0][0].removeprefix("FinalImage").removesuffix(".R") for b in ("motion", "depth")}

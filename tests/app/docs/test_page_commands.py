@@ -75,10 +75,10 @@ def parse(words):
     """Parse, without running anything."""
     group, command = click.Context(stss, info_name="stss"), stss
     while isinstance(command, click.Group):
-        found = command.get_command(group, words[0])
-        if found is None:
+        subcommand = command.get_command(group, words[0])
+        if subcommand is None:
             raise click.UsageError(f"no command {words[0]}")
-        command, words = found, words[1:]
+        command, words = subcommand, words[1:]
     command.make_context(command.name, list(words), parent=group)
 
 
@@ -135,7 +135,7 @@ def provide(prepared, words):
             shutil.copytree(prepared / "made", path)
 
 
-RUN = [(page, wanted) for page, lines in blocks() if (wanted := [line for line in lines if reason(line) is None])]
+RUN = [(page, commands) for page, lines in blocks() if (commands := [line for line in lines if reason(line) is None])]
 
 
 @pytest.mark.parametrize(("page", "lines"), RUN, ids=lambda value: value if isinstance(value, str) else value[0])
@@ -158,8 +158,8 @@ def test_commands_that_are_not_run_are_at_least_commands():
         for line in filter(reason, lines):
             if line.startswith("stss "):
                 check_words(page, line)
-            if found := re.match(r"make ([a-z-]+)", line):
-                assert re.search(rf"^([a-z -]* )?{found[1]}( [a-z -]*)?:", (ROOT / "Makefile").read_text(), re.M), (
+            if match := re.match(r"make ([a-z-]+)", line):
+                assert re.search(rf"^([a-z -]* )?{match[1]}( [a-z -]*)?:", (ROOT / "Makefile").read_text(), re.M), (
                     f"{page}: {line}"
                 )
     for page, line in cells():

@@ -96,9 +96,9 @@ def test_progress_and_files_that_changed(nodes, demo, monkeypatch):
     bar = SimpleNamespace(ProgressBar=lambda count: SimpleNamespace(update=steps.append))
     monkeypatch.setitem(sys.modules, "comfy", SimpleNamespace(utils=bar))
     monkeypatch.setitem(sys.modules, "comfy.utils", bar)
-    asked = {"folder": str(demo / "frames"), "profile": "auto", "first": 0, "count": 2}
-    images, gbuffer = call(nodes, "StssLoadFrames", **asked)
+    options = {"folder": str(demo / "frames"), "profile": "auto", "first": 0, "count": 2}
+    images, gbuffer = call(nodes, "StssLoadFrames", **options)
     call(nodes, "StssSupersample", images=images, gbuffer=gbuffer, weights="bilinear", backend="ref")
     assert steps == [1, 1]
     changed = nodes.NODE_CLASS_MAPPINGS["StssLoadFrames"].IS_CHANGED
-    assert changed(**asked) == changed(**asked) != ""
+    assert changed(**options) == changed(**options) != ""

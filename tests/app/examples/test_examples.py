@@ -42,7 +42,7 @@ def test_the_porters_port_passes(monkeypatch, few_cases):
 SMALL = 24, 40
 
 
-def shown(folder, **changes):
+def show(folder, **changes):
     """What the engine's loop shows of twelve small frames, with `bilinear`; ``changes`` to the example, by name."""
     example = runpy.run_path(str(EXAMPLES / "engine_loop.py"))
     example["main"].__globals__.update(changes)
@@ -60,13 +60,13 @@ def error(image, number, example):
 
 def test_the_loop_of_an_engine(device, tmp_path, capsys):
     """Cut and dropped frame; a picture that is not moved back by its jitter is farther from the full render."""
-    images, example = shown(tmp_path / "right", DROPPED=4)
+    images, example = show(tmp_path / "right", DROPPED=4)
     lines = capsys.readouterr().out.splitlines()
     kinds = ["SF", "EF", "SF", "EF", None, "the last one again", *3 * ["SF", "EF"]]
     assert lines == [f"frame {n}: {kind}" for n, kind in enumerate(kinds) if kind]
     assert sorted(images) == [n for n in range(12) if n != 4]
     np.testing.assert_array_equal(images[5], images[3])
-    trembling, _ = shown(tmp_path / "trembling", DROPPED=4, settle=lambda image, shift: image)
+    trembling, _ = show(tmp_path / "trembling", DROPPED=4, settle=lambda image, shift: image)
     here = [n for n in images if n != 5 and example["jitter"](n).any()]
     assert np.mean([error(trembling[n], n, example) / error(images[n], n, example) for n in here]) > 1.2
 

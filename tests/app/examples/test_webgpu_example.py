@@ -56,15 +56,15 @@ def run():
     environment = software()
 
     def run(folder, *stages):
-        found = judged(folder, environment, stages)
-        if "skip" in found:
-            pytest.skip(f"no WebGPU device: {found['skip']}")
-        return found
+        results = judged(folder, environment, stages)
+        if "skip" in results:
+            pytest.skip(f"no WebGPU device: {results['skip']}")
+        return results
 
     return run
 
 
 def test_the_port_passes(run):
-    found = run(FOLDER)
-    assert {name.split(".")[0] for name in found} == set(STAGES)
-    assert set(found.values()) == {"passed"}, found
+    results = run(FOLDER)
+    assert {name.split(".")[0] for name in results} == set(STAGES)
+    assert set(results.values()) == {"passed"}, results

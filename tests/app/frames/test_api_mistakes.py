@@ -32,10 +32,10 @@ def buffers(**changes):
 
 
 def planes(**changes):
-    found = {
+    arrays = {
         name: getattr(buffers(), name) for name in buffers().__dataclass_fields__ if name not in ("number", "cut", "carried")
     }
-    return found | changes
+    return arrays | changes
 
 
 @cache
@@ -84,17 +84,17 @@ CALLS = {  # what is called with a value -> the kinds of `WRONG` that it takes
     "weights.check": (check_weights, ()),
 }
 CALLS |= {
-    f"{call} {name}": ((lambda v, name=name, made=made: made(name, v)), ())
-    for call, made in (
+    f"{call} {name}": ((lambda v, name=name, make=make: make(name, v)), ())
+    for call, make in (
         ("check", lambda name, v: stss.check(buffers(**{name: v}))),
         ("convert", lambda name, v: stss.convert(0, planes(**{name: v}))),
     )
     for name in ("motion", "stencil", "base_color", "depth")
 }
 CALLS |= {
-    f"{opened.__name__}({name})": (lambda v, opened=opened, name=name: opened(**{"weights": random(0), name: v}), taken)
+    f"{opened.__name__}({name})": (lambda v, opened=opened, name=name: opened(**{"weights": random(0), name: v}), kinds)
     for opened in (Network, Frame, Stream)
-    for name, taken in {"weights": (dict,), "precision": (), "device": (type(None),), "memory_limit": (int, type(None))}.items()
+    for name, kinds in {"weights": (dict,), "precision": (), "device": (type(None),), "memory_limit": (int, type(None))}.items()
 }
 ONE_FRAME = SimpleNamespace(**dict.fromkeys(PLANES, np.zeros((8, 8), np.float32)))
 CALLS |= {
@@ -113,9 +113,9 @@ def test_a_value_of_a_wrong_kind_is_one_line(name):
     for value in WRONG:
         if isinstance(value, TAKEN.get(name, takes)):
             continue
-        with pytest.raises(ERRORS) as caught:
+        with pytest.raises(ERRORS) as error:
             call(value)
-        assert len(str(caught.value).splitlines()) == 1, (name, value)
+        assert len(str(error.value).splitlines()) == 1, (name, value)
 
 
 @pytest.mark.parametrize("kind", ["O", "U4", "M8[s]", "c16"])
@@ -142,9 +142,9 @@ def test_an_outputs_arrays_are_the_callers(backend, device):
 
 
 def test_a_supersampler_is_neither_pickled_nor_copied():
-    for made in (pickle.dumps, copy.copy, copy.deepcopy):
+    for make in (pickle.dumps, copy.copy, copy.deepcopy):
         with pytest.raises(InputError, match="Supersampler: cannot be pickled or copied; expected one for each process"):
-            made(engine())
+            make(engine())
 
 
 def test_threads_within_one_supersampler_are_told_and_threads_in_turn_are_not():
@@ -152,31 +152,31 @@ def test_threads_within_one_supersampler_are_told_and_threads_in_turn_are_not():
     loop, entered, leave = engine(), threading.Event(), threading.Event()
     compute = loop.backend.compute
 
-    def wait(*given):
+    def wait(*arguments):
         entered.set()
         assert leave.wait(60)
-        return compute(*given)
+        return compute(*arguments)
 
     loop.backend.compute = wait
-    given = list(frames(2))
+    buffers = list(frames(2))
     with ThreadPoolExecutor(1) as pool:
-        first = pool.submit(loop.push, given[0])
+        first = pool.submit(loop.push, buffers[0])
         assert entered.wait(60)
         with pytest.raises(InputError, match="another thread is within push"):
-            loop.push(given[1])
+            loop.push(buffers[1])
         leave.set()
         np.testing.assert_array_equal(first.result().image, want[0])
-        np.testing.assert_array_equal(pool.submit(loop.push, given[1]).result().image, want[1])
+        np.testing.assert_array_equal(pool.submit(loop.push, buffers[1]).result().image, want[1])
 
 
 def test_numpy_that_raises_in_the_program_around_does_not_break_the_reference():
     """Its arithmetic rounds small numbers to 0 on purpose."""
     weights = Weights({name: tensor * np.float32(30) for name, tensor in random(0).items()})  # exp of far below 0
-    given = [replace(b, roughness=np.full(SIZE, 1e-50)) for b in frames(2)]
-    want = [output.image for output in stss.Supersampler(weights, backend="ref")(given)]
+    buffers = [replace(b, roughness=np.full(SIZE, 1e-50)) for b in frames(2)]
+    want = [output.image for output in stss.Supersampler(weights, backend="ref")(buffers)]
     before = np.seterr(all="raise")
     try:
-        got = [output.image for output in stss.Supersampler(weights, backend="ref")(given)]
+        got = [output.image for output in stss.Supersampler(weights, backend="ref")(buffers)]
         assert np.geterr()["under"] == "raise"
     finally:
         np.seterr(**before)
@@ -205,8 +205,8 @@ MISTAKES = {  # planes that are not as expected -> what the error says
 
 @pytest.mark.parametrize("name", MISTAKES)
 def test_the_plane_that_is_wrong_is_the_one_that_is_named(name):
-    changes, said = MISTAKES[name]
-    with pytest.raises(InputError, match=said):
+    changes, words = MISTAKES[name]
+    with pytest.raises(InputError, match=words):
         stss.convert(0, planes(**{plane: change(planes()[plane]) for plane, change in changes.items()}))
 
 
@@ -234,9 +234,9 @@ def test_linear_depth_is_no_depth_buffer(value):
 def test_a_depth_buffers_value_that_is_not_finite_is_nothing_hit(reverse):
     depth = np.full(SIZE, 0.5, np.float32)
     depth[0, :3] = np.inf, -np.inf, np.nan
-    found = stss.convert(0, planes(depth=depth), stss.load_profile("stss", depth={**DEVICE, "reversed": reverse})).depth
-    assert np.isinf(found[0, :3]).all()
-    assert np.isfinite(found[1:]).all()
+    depth_back = stss.convert(0, planes(depth=depth), stss.load_profile("stss", depth={**DEVICE, "reversed": reverse})).depth
+    assert np.isinf(depth_back[0, :3]).all()
+    assert np.isfinite(depth_back[1:]).all()
 
 
 @pytest.mark.filterwarnings("error")

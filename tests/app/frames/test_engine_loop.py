@@ -18,8 +18,8 @@ def frames(count, *, scale=1.0, first=0):
     """Display frames of an analytic scene; the even ones are rendered."""
     scene = next(iter(SCENES.values()))
     for number in range(first, first + count):
-        seen = render(scene, number, *SIZE)
-        planes = {name: getattr(seen, name).astype(np.float32) for name in seen.__dataclass_fields__}
+        view = render(scene, number, *SIZE)
+        planes = {name: getattr(view, name).astype(np.float32) for name in view.__dataclass_fields__}
         planes["position"] = np.where(np.isfinite(planes["depth"])[..., None], planes["position"], np.float32(1e7))
         color = planes.pop("color") * np.float32(scale)
         yield stss.Buffers(number, color if number % 2 == 0 else None, **planes)
@@ -41,8 +41,8 @@ def test_arrays_may_be_filled_again(copy):
         for name, plane in planes.items():
             if plane is not None:
                 arrays.setdefault(name, np.empty_like(plane))[...] = plane
-        kept = {name: arrays[name] if plane is not None else None for name, plane in planes.items()}
-        images.append(loop.push(stss.Buffers(buffers.number, **kept)).image)
+        planes_kept = {name: arrays[name] if plane is not None else None for name, plane in planes.items()}
+        images.append(loop.push(stss.Buffers(buffers.number, **planes_kept)).image)
     assert all(np.array_equal(*pair) for pair in zip(images, expected, strict=True)) == copy
 
 
@@ -110,9 +110,9 @@ def test_no_masked_array_is_read_under_its_mask():
     planes = {
         name: getattr(buffers, name) for name in ("motion", "normal", "position", "base_color", "roughness", "metallic", "nov")
     }
-    for given in ({"stencil": 0, **masked}, {"depth": buffers.depth, "stencil": 0, "light": masked["depth"]}):
+    for planes_given in ({"stencil": 0, **masked}, {"depth": buffers.depth, "stencil": 0, "light": masked["depth"]}):
         with pytest.raises(InputError, match="expected an array without a mask"):
-            stss.convert(0, planes | given)
+            stss.convert(0, planes | planes_given)
     engine().push(replace(buffers, depth=np.ma.array(buffers.depth, mask=False)))
 
 
@@ -160,8 +160,10 @@ def test_other_planes_are_carried():
 
 def test_supersample_is_the_loop_over_an_open_backend():
     backend = stss.open_backend("ref", "bilinear")
-    made, looped = (list(run(frames(3))) for run in (lambda f: stss.supersample(f, backend), stss.Supersampler(backend=backend)))
-    assert [(a.image == b.image).all() for a, b in zip(made, looped, strict=True)] == [True] * 3
+    outputs, looped = (
+        list(run(frames(3))) for run in (lambda f: stss.supersample(f, backend), stss.Supersampler(backend=backend))
+    )
+    assert [(a.image == b.image).all() for a, b in zip(outputs, looped, strict=True)] == [True] * 3
 
 
 def test_conventions_of_an_engine():
@@ -172,12 +174,12 @@ def test_conventions_of_an_engine():
     planes = {name: getattr(buffers, name).astype(np.float64) for name in names}
     planes["motion"] = buffers.motion.astype(np.float64) * (2 / SIZE[1], -2 / SIZE[0])
     planes["position"] = buffers.position.astype(np.float64) / 100
-    made = stss.convert(0, planes, rules)
+    converted = stss.convert(0, planes, rules)
     with pytest.raises(InputError, match="frame 0: color: expected floating-point numbers, found uint8"):
         stss.convert(0, {**planes, "color": (planes["color"] * 255).astype(np.uint8)}, rules)
-    stss.check(made)
+    stss.check(converted)
     for name in (*names, "motion", "position"):
-        a, b = getattr(made, name), getattr(buffers, name)
+        a, b = getattr(converted, name), getattr(buffers, name)
         assert np.array_equal(a, b) if name not in ("motion", "position") else (np.abs(a - b) <= 2**-22 * np.abs(b)).all(), name
     with pytest.raises(InputError, match=r"motion\.unit: expected one of pixels, uv, ndc, found 'px'"):
         stss.load_profile("stss", motion={"unit": "px"})

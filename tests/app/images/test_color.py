@@ -58,11 +58,11 @@ def test_known_values_of_the_srgb_curve():
 @given(name=names, color=arrays(np.float32, sizes, elements=st.floats(width=32)))
 def test_anything_a_renderer_gives_becomes_finite_and_within_range(name, color):
     """NaN, infinities and negative light never reach the network or a picture."""
-    for found in (transfer(name).encode(color), transfer(name).display(color)):
-        assert found.dtype == np.float32
-        assert found.shape == color.shape
-        assert found.flags.c_contiguous
-        assert ((found >= 0) & (found <= 1)).all()
+    for image in (transfer(name).encode(color), transfer(name).display(color)):
+        assert image.dtype == np.float32
+        assert image.shape == color.shape
+        assert image.flags.c_contiguous
+        assert ((image >= 0) & (image <= 1)).all()
 
 
 @quick

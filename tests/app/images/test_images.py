@@ -19,11 +19,11 @@ def planes(*names, size=(9, 7), seed=0):
 
 def test_channels_come_back_by_their_full_name(tmp_path):
     path = tmp_path / "a.exr"
-    written = planes("R", "G", "B", "motion.X", "motion.Y", "depth.Z", "A.b.c.R")
-    images.write_channels(path, written, half=("R", "G"), metadata={"stss:key": 'é {"a": 1}\nb'})
+    pixels = planes("R", "G", "B", "motion.X", "motion.Y", "depth.Z", "A.b.c.R")
+    images.write_channels(path, pixels, half=("R", "G"), metadata={"stss:key": 'é {"a": 1}\nb'})
 
     header = images.read_header(path)
-    assert set(header.channels) == set(written)
+    assert set(header.channels) == set(pixels)
     assert {name for name, kind in header.formats.items() if kind == "half"} == {"R", "G"}
     assert set(header.compression.values()) == {"zip"}
     assert header.attributes["stss:key"] == 'é {"a": 1}\nb'
@@ -36,19 +36,19 @@ def test_channels_come_back_by_their_full_name(tmp_path):
     for name, plane in read.items():
         assert plane.dtype == np.float32
         assert plane.flags.c_contiguous
-        want = written[name].astype(np.float16) if name == "R" else written[name]
+        want = pixels[name].astype(np.float16) if name == "R" else pixels[name]
         np.testing.assert_array_equal(plane, want.astype(np.float32))
 
 
 @pytest.mark.parametrize("kind", ["none", "rle", "zips", "zip", "piz", "pxr24", "b44", "b44a", "dwaa:45", "dwab", "htj2k32"])
-@pytest.mark.parametrize("stored", ["half", "float", "uint"])
-def test_what_a_compression_changes_is_known(tmp_path, kind, stored):
+@pytest.mark.parametrize("number_type", ["half", "float", "uint"])
+def test_what_a_compression_changes_is_known(tmp_path, kind, number_type):
     """By the pixels that come back: of channels that are named as colours, and of others."""
     names = ("R", "light.B", "motion.X", "motion.Y", "normal.Z", "depth.V", "a.RY", "y", "red")
     pixels = np.abs(100 * np.random.default_rng(0).standard_normal((32, 32, len(names))))
-    pixels = pixels.astype(np.uint32 if stored == "uint" else np.float32)
+    pixels = pixels.astype(np.uint32 if number_type == "uint" else np.float32)
     for path, compression in (("a.exr", kind), ("b.exr", "none")):
-        write_parts(tmp_path / path, (pixels, names, {"compression": (compression,)}), stored=stored)
+        write_parts(tmp_path / path, (pixels, names, {"compression": (compression,)}), number_type=number_type)
     header = images.read_header(tmp_path / "a.exr")
     read, expected = (images.read_channels(tmp_path / path, names) for path in ("a.exr", "b.exr"))
     changed = [name for name in names if not np.array_equal(read[name], expected[name])]
@@ -149,9 +149,9 @@ def test_transparency_does_not_darken(tmp_path):
 
 def test_rgb_comes_from_one_layer(tmp_path):
     path = tmp_path / "a.exr"
-    written = planes("X.Combined.R", "X.Combined.G", "X.Combined.B", "X.base.R", "X.base.G", "X.base.B")
-    images.write_channels(path, written)
-    np.testing.assert_array_equal(images.read_rgb(path)[..., 2], written["X.Combined.B"])
+    pixels = planes("X.Combined.R", "X.Combined.G", "X.Combined.B", "X.base.R", "X.base.G", "X.base.B")
+    images.write_channels(path, pixels)
+    np.testing.assert_array_equal(images.read_rgb(path)[..., 2], pixels["X.Combined.B"])
     images.write_channels(path, planes("a.R", "a.G", "a.B", "b.R", "b.G", "b.B"))
     with pytest.raises(InputError, match="expected channels R, G, B or one layer"):
         images.read_rgb(path)

@@ -58,8 +58,8 @@ def write(path, parts, display):
 
 def frame(number, hit=None):
     """Channels of a frame of the scene ``pan``; outside ``hit`` nothing was hit, and nothing moves."""
-    seen = render(SCENES["pan"], number, *SIZE)
-    channels = {n: np.asarray(p, np.float32) for n, p in frame_channels(seen, rendered=number % 2 == 0).items()}
+    view = render(SCENES["pan"], number, *SIZE)
+    channels = {n: np.asarray(p, np.float32) for n, p in frame_channels(view, rendered=number % 2 == 0).items()}
     if "R" in channels:
         channels["A"] = np.ones(SIZE, np.float32)
     if hit is not None:

@@ -83,15 +83,15 @@ def test_a_process_that_dies_is_a_row(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("ours", "peers", "repeat", "said"),
+    ("ours", "peers", "repeat", "words"),
     [
         ([], ["cl"], 1, "peers: expected"),
         ([], [], 1, "at least one"),
         (["ref"], [], 0, "at least one"),
     ],
 )
-def test_wrong_names_are_one_line(ours, peers, repeat, said):
-    with pytest.raises(InputError, match=said):
+def test_wrong_names_are_one_line(ours, peers, repeat, words):
+    with pytest.raises(InputError, match=words):
         bench([setup()], ours, peers, repeat)
 
 
@@ -145,13 +145,13 @@ def test_json_can_be_read_and_names_no_place():
 
 
 def test_the_time_of_a_run_is_that_of_one_of_its_frames(monkeypatch):
-    told, orders = [], iter(["time", "end"])
-    pipe = SimpleNamespace(send=told.append, recv=lambda: next(orders))
-    made = SimpleNamespace(
+    messages, orders = [], iter(["time", "end"])
+    pipe = SimpleNamespace(send=messages.append, recv=lambda: next(orders))
+    engine = SimpleNamespace(
         frames=100, details={}, prepare=lambda inputs: None, run=lambda: time.sleep(0.1), image=lambda: np.zeros(1)
     )
-    monkeypatch.setattr(measure, "contender", lambda name, setup: made)
+    monkeypatch.setattr(measure, "contender", lambda name, setup: engine)
     measure._serve(pipe, "cl-stream", setup())
-    wall, used = told[1][1]
+    wall, used = messages[1][1]
     assert 0.001 <= wall < 0.05
     assert used < 0.5 * wall  # it sleeps: processor time is its own

@@ -81,9 +81,9 @@ def test_one_colour_stays_one_colour(method, motion):
 
 @pytest.mark.parametrize("steps", [SF, EF])
 def test_bilinear_is_the_network_without_its_residual(steps):
-    given = slide(7, steps, (0.7, -0.4))
-    image, valid = MethodBackend("bilinear").frame(given)
-    expected = ReferenceBackend(load(BILINEAR).weights).frame(given)
+    window_now = slide(7, steps, (0.7, -0.4))
+    image, valid = MethodBackend("bilinear").frame(window_now)
+    expected = ReferenceBackend(load(BILINEAR).weights).frame(window_now)
     np.testing.assert_array_equal(image, expected[0])
     np.testing.assert_array_equal(valid, expected[1])
 
@@ -108,12 +108,14 @@ def test_an_extrapolated_translation_is_exact(method):
 
 def test_extrapolate_leaves_the_occlusion_warp_out():
     """A hole shows what motion leads to; elsewhere it is bilinear."""
-    given = slide(7, EF, (0.7, -0.4))
-    stencils = given.stencils.copy()
+    window_now = slide(7, EF, (0.7, -0.4))
+    stencils = window_now.stencils.copy()
     stencils[0, 8:12, 8:16] = 1  # an object that was not there
-    given = replace(given, stencils=stencils, motions=given.motions * np.linspace(0.5, 1.5, W)[:, None].astype(np.float32))
-    image, valid = MethodBackend("extrapolate").frame(given)
-    bilinear, _ = MethodBackend("bilinear").frame(given)
+    window_now = replace(
+        window_now, stencils=stencils, motions=window_now.motions * np.linspace(0.5, 1.5, W)[:, None].astype(np.float32)
+    )
+    image, valid = MethodBackend("extrapolate").frame(window_now)
+    bilinear, _ = MethodBackend("bilinear").frame(window_now)
     hole = enlarged(~valid)
     assert hole.any()
     assert (image != bilinear)[hole].any()
@@ -187,8 +189,8 @@ def test_taau_starts_anew_after_a_gap(write_frames):
 
     alone = images(later)
     for before in ([small.load(0), small.load(1)], [large.load(2), large.load(3)]):
-        for found, expected in zip(images([*before, *later])[-4:], alone, strict=True):
-            np.testing.assert_array_equal(found, expected)
+        for image, expected in zip(images([*before, *later])[-4:], alone, strict=True):
+            np.testing.assert_array_equal(image, expected)
 
 
 @pytest.fixture
@@ -226,12 +228,12 @@ def test_methods_side_by_side(tmp_path):
     rows = {line.split()[0]: line.split() for line in table.stdout.splitlines() if line.strip().startswith(tuple(METHODS))}
     assert list(rows) == list(METHODS)  # no network, for its weights are bilinear
     assert "means of 3 SF and 3 EF" in table.stdout
-    found = json.loads(call(*words, "--methods", "repeat,lanczos", "--json", "--overwrite").stdout)
+    scores = json.loads(call(*words, "--methods", "repeat,lanczos", "--json", "--overwrite").stdout)
     folders = tmp_path / "out" / "lanczos", tmp_path / "demo" / "truth"
     alone = json.loads(call("compare", *folders, "--sequence", tmp_path / "demo" / "frames", "--json").stdout)
-    assert found["lanczos"]["means"] == alone["means"]
+    assert scores["lanczos"]["means"] == alone["means"]
     assert rows["lanczos"][1] == f"{alone['means']['SF']['all']['psnr_rgb']:.2f}"
-    assert rows["repeat"][-1] == f"{found['repeat']['means']['EF']['all']['flicker']:.2f}"
+    assert rows["repeat"][-1] == f"{scores['repeat']['means']['EF']['all']['flicker']:.2f}"
     refused(call(*words, "--overwrite", "--methods", "dlss"), "methods: expected some of repeat, extrapolate, bilinear")
     assert choose_methods((), "some.safetensors") == (*METHODS, "network")
     with pytest.raises(InputError, match="each once"):

@@ -21,12 +21,12 @@ WORDS = ["bench", "--pareto", "--size", "24x16", "--scenes"]
 def test_mistakes():
     with pytest.raises(InputError, match=r"--settings: expected parts of float32 off, .* got quarter"):
         chosen_settings(["quarter"])
-    for words, said in (
+    for words, message in (
         (["night"], "--scenes: expected some of"),
         (["static", "--size", "8x8"], "--pareto: expected one --size, got 2"),
     ):
         ran = CliRunner().invoke(stss, [*WORDS, *words])
-        assert said in str(ran.exception) + ran.output
+        assert message in str(ran.exception) + ran.output
 
 
 def test_exact_has_the_bits_and_half_departs(device, tmp_path, monkeypatch):
@@ -41,9 +41,9 @@ def test_exact_has_the_bits_and_half_departs(device, tmp_path, monkeypatch):
     # A float32 network of order 1 is good to some 1e-5; half stores eleven bits.
     assert float(exact[5]) < 1e-4
     assert float(half[5]) > 1e-6
-    written = json.loads((tmp_path / "found.json").read_text())
-    assert (written["input"], written["threads"] > 0) == ([24, 16], True)
-    (rows,) = written["scenes"].values()
+    data = json.loads((tmp_path / "found.json").read_text())
+    assert (data["input"], data["threads"] > 0) == ([24, 16], True)
+    (rows,) = data["scenes"].values()
     assert [(row["setting"], row["exact"]) for row in rows] == [("float32 exact", True), ("half off", False)]
     for row in rows:
         assert row["share"] == pytest.approx(sum(row["times_ms"]) / sum(row["full_times_ms"]))

@@ -19,7 +19,7 @@ from tests.hostile.cases import call, refused
 H, W = 20, 28
 
 
-def given(seed=0):
+def draw_inputs(seed=0):
     """The network's inputs, of noise."""
     random = np.random.default_rng(seed).random
     shapes = {"color": (H, W, 6), "gbuffer": (H, W, 9), "mask": (H, W), "history": (3, H, W, 4)}
@@ -27,7 +27,7 @@ def given(seed=0):
 
 
 def test_the_whole_is_stage_network():
-    weights, inputs = table.random(1), given()
+    weights, inputs = table.random(1), draw_inputs()
     expected = whole_network(inputs.color, inputs.gbuffer, inputs.mask, inputs.history, weights)
     np.testing.assert_array_equal(network(inputs, weights, mean_erm=False), expected)
     assert (network(inputs, weights, mean_erm=True) != expected).any()
@@ -38,7 +38,7 @@ def test_the_whole_is_stage_network():
 )
 def test_a_part_is_what_only_it_shows(part, field):
     """Two inputs that differ in that part alone become one; the other inputs stay."""
-    first, second = given(0), given(1)
+    first, second = draw_inputs(0), draw_inputs(1)
     changed = CHANGES[part](first)
     for name in ("color", "gbuffer", "mask", "history"):
         assert np.array_equal(getattr(changed, name), getattr(first, name)) == (name != field), name
@@ -52,7 +52,7 @@ def test_a_part_is_what_only_it_shows(part, field):
 
 def test_an_erm_that_says_the_same_everywhere_is_its_mean():
     """Light without weights, and nothing masked: all places gather one colour."""
-    weights, inputs = table.random(2), CHANGES["mask"](given())
+    weights, inputs = table.random(2), CHANGES["mask"](draw_inputs())
     flat = weights | {"latentEncoder.4.weight": np.zeros_like(weights["latentEncoder.4.weight"])}
     images = [network(inputs, flat, mean_erm=mean) for mean in (False, True)]
     np.testing.assert_allclose(*images, atol=1e-5)  # a mean of equal values rounds
@@ -73,8 +73,8 @@ def test_the_command(tmp_path):
     names = [row[0] for row in rows if row[:1] and row[0] in PARTS]
     assert names == [*PARTS, *PARTS]
     assert all(row[1:3] == ["+0.00", "+0.00"] for row in rows[3:8])
-    found = json.loads(call(*words, tmp_path / "some.safetensors", "--parts", "gbuffer,erm", "--json", "--overwrite").stdout)
-    means = {name: found["some"][name]["means"]["EF"]["all"]["psnr_rgb"] for name in ("whole", "gbuffer", "erm")}
+    scores = json.loads(call(*words, tmp_path / "some.safetensors", "--parts", "gbuffer,erm", "--json", "--overwrite").stdout)
+    means = {name: scores["some"][name]["means"]["EF"]["all"]["psnr_rgb"] for name in ("whole", "gbuffer", "erm")}
     assert len({*means.values()}) == 3
     alone = call("compare", tmp_path / "out" / "some" / "gbuffer", sequence[1], "--frames", "6:7", "--json")
     assert json.loads(alone.stdout)["means"]["EF"]["all"]["psnr_rgb"] == means["gbuffer"]

@@ -24,8 +24,8 @@ SMALL = StressPlan([ReferenceEngine()], seeds=1, size=(32, 48), sizes=(8, 16))
 
 def test_the_hole_test_loses_nothing_itself():
     """Differences of neighbours are exact, so float64 gives the same verdicts for the same positions."""
-    (found,) = stress(SMALL, ["positions"])
-    columns = dict(zip(found.columns, zip(*found.rows, strict=True), strict=True))
+    (table,) = stress(SMALL, ["positions"])
+    columns = dict(zip(table.columns, zip(*table.rows, strict=True), strict=True))
     assert columns["float32"] == columns["its test in float64"]
     assert columns["float32"][-1] > 10
     assert columns["origin taken off by the renderer"][-1] < 1
@@ -49,8 +49,8 @@ def test_the_backend_is_measured_in_each_of_its_precisions(device):
 def test_the_command_measures_every_table_without_a_device(monkeypatch):
     """In fewer and smaller frames than a user's."""
     planned, measured, tables = measure.make_plan, measure.stress, []
-    monkeypatch.setattr(measure, "make_plan", lambda *given: replace(SMALL, engines=planned(*given).engines))
-    monkeypatch.setattr(measure, "stress", lambda *given, **more: tables.extend(measured(*given, **more)) or tuple(tables))
+    monkeypatch.setattr(measure, "make_plan", lambda *options: replace(SMALL, engines=planned(*options).engines))
+    monkeypatch.setattr(measure, "stress", lambda *options, **more: tables.extend(measured(*options, **more)) or tuple(tables))
     done = CliRunner().invoke(stress_command, ["--backend", "ref"])
     assert done.exit_code == 0, done.output
     assert [table.key for table in tables] == [*measure.MEASUREMENTS]
@@ -59,15 +59,15 @@ def test_the_command_measures_every_table_without_a_device(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "words"),
     [
         (["--only", "position"], "only: expected some of bounds"),
         (["--backend", "ref", "--device", "x"], "expected no device"),
     ],
 )
-def test_mistakes_are_one_line(options, said, tmp_path, monkeypatch):
+def test_mistakes_are_one_line(options, words, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     done = CliRunner().invoke(stress_command, options)
     assert isinstance(done.exception, InputError)
-    assert re.search(said, str(done.exception))
+    assert re.search(words, str(done.exception))
     assert "\n" not in str(done.exception)

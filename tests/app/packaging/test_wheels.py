@@ -107,9 +107,9 @@ def test_the_laboratory_may_stay_out(program, tmp_path, monkeypatch):
 
 def test_a_container_is_given_all_that_the_wheel_is_built_from(program, tmp_path):
     """The folder as a container's engine copies it, by ``.dockerignore``; no engine is needed."""
-    first, *kept = [line for line in (ROOT / ".dockerignore").read_text().splitlines() if not line.startswith("#")]
+    first, *others = [line for line in (ROOT / ".dockerignore").read_text().splitlines() if not line.startswith("#")]
     assert first == "*"
-    for name in (line.removeprefix("!") for line in kept if line.startswith("!")):
+    for name in (line.removeprefix("!") for line in others if line.startswith("!")):
         (shutil.copytree if (ROOT / name).is_dir() else shutil.copy)(ROOT / name, tmp_path / name)
     command = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(tmp_path / "dist")]
     subprocess.run(command, cwd=tmp_path, check=True, capture_output=True)
@@ -174,11 +174,11 @@ def test_the_judge_alone_judges(judge, tmp_path):
     assert "looks like" in done.stdout
     assert json.loads((tmp_path / "f.json").read_text())["stages"]["rrm"]["cases"] > 0
     assert (tmp_path / "p.html").is_file()
-    kept = tmp_path / "conform-failures" / "rrm.agrees_with_the_reference"
-    assert "picture.png, from left to right: port, expected" in (kept / "README.txt").read_text()
-    assert read_rgb(kept / "picture.png").shape[2] == 3
-    assert conform("--port", "ours:Wrong", "--replay", kept).returncode == 1
-    assert conform("--port", "ours:Port", "--replay", kept).returncode == 0
+    folder = tmp_path / "conform-failures" / "rrm.agrees_with_the_reference"
+    assert "picture.png, from left to right: port, expected" in (folder / "README.txt").read_text()
+    assert read_rgb(folder / "picture.png").shape[2] == 3
+    assert conform("--port", "ours:Wrong", "--replay", folder).returncode == 1
+    assert conform("--port", "ours:Port", "--replay", folder).returncode == 0
     places = python(judge[1], tmp_path, "import conformance, stss_ref; print(conformance.__file__, stss_ref.__file__)").stdout
     assert places.split() == [str(judge[1] / place / "__init__.py") for place in ("stss_judge/conformance", "stss_ref")]
 
@@ -201,13 +201,13 @@ def test_all_that_stss_needs_has_wheels():
         pytest.skip("asks the package index for a minute, with uv, where CI is set")
     command = [uv, "pip", "compile", "--quiet", "--only-binary", ":all:", "--python-version", "3.12", "pyproject.toml"]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    asked = {
+    commands = {
         target: subprocess.Popen([*command, "--python-platform", target], cwd=ROOT, **pipes) for target in [*TARGETS, *LACKS]
     }
-    answers = {target: (process.communicate(timeout=300), process.returncode) for target, process in asked.items()}
-    if any("Failed to fetch" in said for (_, said), _ in answers.values()):
+    answers = {target: (process.communicate(timeout=300), process.returncode) for target, process in commands.items()}
+    if any("Failed to fetch" in text for (_, text), _ in answers.values()):
         pytest.skip("the package index is not reached")
-    for target, ((found, said), status) in answers.items():
-        assert bool(status) == (target in LACKS), said
-        assert not status or f"{LACKS[target]}>=" in said
-        assert status or ("pocl-binary-distribution" in found) == (target == "x86_64-manylinux_2_28")
+    for target, ((out, text), status) in answers.items():
+        assert bool(status) == (target in LACKS), text
+        assert not status or f"{LACKS[target]}>=" in text
+        assert status or ("pocl-binary-distribution" in out) == (target == "x86_64-manylinux_2_28")

@@ -44,24 +44,24 @@ def data_of(path):
 
 
 def tags(text):
-    found = []
+    problems = []
     parser = HTMLParser()
-    parser.handle_starttag = lambda tag, attributes: found.append((tag, dict(attributes)))
+    parser.handle_starttag = lambda tag, attributes: problems.append((tag, dict(attributes)))
     parser.feed(text)
-    return found
+    return problems
 
 
 def test_the_slider_is_the_one_that_was_published():
-    found = hashlib.sha256(asset("stss.pages", "vendor/image-compare.min.js").encode()).hexdigest()
-    assert f"`{found}`" in asset("stss.pages", "vendor/README.md")
+    digest = hashlib.sha256(asset("stss.pages", "vendor/image-compare.min.js").encode()).hexdigest()
+    assert f"`{digest}`" in asset("stss.pages", "vendor/README.md")
     assert "MIT License" in asset("stss.pages", "vendor/image-compare.LICENSE")
 
 
 def test_text_of_strangers_stays_text(tmp_path):
     named = ("output", HOSTILE)
-    shown = viewer(named, HOSTILE)
-    shown = Viewer(**{**vars(shown), "notes": [HOSTILE], "tables": [table(HOSTILE, [HOSTILE], [[HOSTILE]])]})
-    write_viewer(tmp_path / "p.html", shown, [ShownFrame(1, "", HOSTILE, pictures(1, *named))])
+    page = viewer(named, HOSTILE)
+    page = Viewer(**{**vars(page), "notes": [HOSTILE], "tables": [table(HOSTILE, [HOSTILE], [[HOSTILE]])]})
+    write_viewer(tmp_path / "p.html", page, [ShownFrame(1, "", HOSTILE, pictures(1, *named))])
     plain = tmp_path / "plain.html"
     write_viewer(plain, viewer(), frames(1))
     text = (tmp_path / "p.html").read_text()
@@ -88,21 +88,21 @@ def test_pictures_beyond_the_size_lie_beside_and_go_with_their_page(tmp_path):
 
 
 def test_a_plot_has_sf_and_ef_apart_and_a_way_to_every_frame():
-    drawn = plot("PSNR, dB", [PlotLine("SF", {0: 30.0, 2: 31.0}, "SF", 0), PlotLine("EF", {1: 28.25}, "EF", 1)], digits=2)
-    links = [attributes for tag, attributes in tags(drawn) if tag == "a"]
+    svg = plot("PSNR, dB", [PlotLine("SF", {0: 30.0, 2: 31.0}, "SF", 0), PlotLine("EF", {1: 28.25}, "EF", 1)], digits=2)
+    links = [attributes for tag, attributes in tags(svg) if tag == "a"]
     assert [link["href"] for link in links] == ["#frame-0", "#frame-2", "#frame-1"]
     assert links[2]["aria-label"] == "frame 1, EF: 28.25"
-    assert [tag for tag, _ in tags(drawn)].count("rect") == 1
-    places = re.findall(r'class="hit" cx="[\d.]+" cy="([\d.]+)"', drawn)
+    assert [tag for tag, _ in tags(svg)].count("rect") == 1
+    places = re.findall(r'class="hit" cx="[\d.]+" cy="([\d.]+)"', svg)
     heights = {link["aria-label"]: float(y) for link, y in zip(links, places, strict=True)}
     assert heights["frame 2, SF: 31.00"] < heights["frame 0, SF: 30.00"] < heights["frame 1, EF: 28.25"]
 
 
 @pytest.mark.parametrize("values", [[5.0, 5.0], [float("inf")], [-3.0, 2000.0]])
 def test_a_plot_of_any_numbers_stays_within_its_frame(values):
-    drawn = plot("x", [PlotLine("SF", dict(enumerate(values)), "SF", 0)], digits=2)
-    assert "nan" not in drawn
-    for y in re.findall(r' cy="([-\d.]+)"', drawn):
+    svg = plot("x", [PlotLine("SF", dict(enumerate(values)), "SF", 0)], digits=2)
+    assert "nan" not in svg
+    for y in re.findall(r' cy="([-\d.]+)"', svg):
         assert 0 <= float(y) <= 240
 
 
@@ -110,9 +110,9 @@ def test_a_plot_of_any_numbers_stays_within_its_frame(values):
 def compared(tmp_path):
     """Two folders of an output and its truth, four frames."""
     for n in range(4):
-        made = pictures(n, "truth")["truth"]
+        truth = pictures(n, "truth")["truth"]
         labels = {"stss:kind": "EF" if n % 2 else "SF", "stss:transfer": "none", "stss:method": "network"}
-        for folder, image in (("out", np.clip(made + 0.1, 0, 1)), ("truth", made)):
+        for folder, image in (("out", np.clip(truth + 0.1, 0, 1)), ("truth", truth)):
             (tmp_path / folder).mkdir(exist_ok=True)
             write_rgb(tmp_path / folder / f"frame.{n:04d}.png", image, metadata=labels if folder == "out" else None)
         if n % 2:
@@ -125,10 +125,10 @@ def test_compare_makes_a_page(compared):
     words = ["compare", str(compared / "out"), str(compared / "truth"), "--html", str(compared / "p.html")]
     done = CliRunner().invoke(stss, words, catch_exceptions=False)
     assert done.exit_code == 0
-    found = data_of(compared / "p.html")
-    assert found["views"] == ["output", "truth"]
-    assert len(found["pictures"]) == 8
-    assert [frame["name"] for frame in found["frames"]] == ["frame 0, SF", "frame 1, EF", "frame 2, SF", "frame 3, EF"]
+    data = data_of(compared / "p.html")
+    assert data["views"] == ["output", "truth"]
+    assert len(data["pictures"]) == 8
+    assert [frame["name"] for frame in data["frames"]] == ["frame 0, SF", "frame 1, EF", "frame 2, SF", "frame 3, EF"]
     text = (compared / "p.html").read_text()
     for title in ("PSNR over RGB, dB", "SSIM of the luma", "What the columns mean"):
         assert title in text
@@ -140,9 +140,9 @@ def test_compare_shows_what_the_output_was_made_of(compared, write_frames):
     words = ["compare", str(compared / "out"), str(compared / "truth"), "--sequence", str(folder)]
     done = CliRunner().invoke(stss, [*words, "--html", str(compared / "p.html")], catch_exceptions=False)
     assert done.exit_code == 0
-    found = data_of(compared / "p.html")
-    assert found["views"] == ["input", "bilinear", "output", "truth"]
-    inputs = [frame["pictures"]["input"] for frame in found["frames"]]
+    data = data_of(compared / "p.html")
+    assert data["views"] == ["input", "bilinear", "output", "truth"]
+    inputs = [frame["pictures"]["input"] for frame in data["frames"]]
     assert inputs[0] == inputs[1] != inputs[2] == inputs[3]
 
 
@@ -157,7 +157,7 @@ def test_a_page_forbids_what_is_not_its_own():
 
 
 @pytest.fixture(scope="module")
-def shown(tmp_path_factory):
+def page_path(tmp_path_factory):
     """A page whose last pictures lie beside it."""
     path = tmp_path_factory.mktemp("page") / "p.html"
     names = ("input", "bilinear", "output", "truth")
@@ -166,7 +166,7 @@ def shown(tmp_path_factory):
     return path
 
 
-def test_a_page_opens_from_disk_and_fits_a_telephone(ask, shown):
+def test_a_page_opens_from_disk_and_fits_a_telephone(ask, page_path):
     """Every picture of every frame in every mode is there, nothing is asked of a network, and nothing is cut off."""
     script = """
         let there = true;
@@ -183,14 +183,14 @@ def test_a_page_opens_from_disk_and_fits_a_telephone(ask, shown):
         const elsewhere = asked.filter((name) => !/^(file|data):/.test(name));
         return [there, elsewhere, named, text("#caption"), page.documentElement.scrollWidth];
     """
-    *said, wide = ask(shown, script, 390)
-    assert said == [True, [], True, "frame 3, EF: 33 dB"]  # the point of the plot led to its frame
+    *lines, wide = ask(page_path, script, 390)
+    assert lines == [True, [], True, "frame 3, EF: 33 dB"]  # the point of the plot led to its frame
     assert wide <= 390
 
 
-def test_keys_lead_through_frames_views_and_zoom(ask, shown):
-    said = ask(
-        shown,
+def test_keys_lead_through_frames_views_and_zoom(ask, page_path):
+    lines = ask(
+        page_path,
         """
         const said = [text("#caption")];
         press("."); press(".");
@@ -209,7 +209,7 @@ def test_keys_lead_through_frames_views_and_zoom(ask, shown):
         return said;
         """,
     )
-    assert said == [
+    assert lines == [
         "frame 0, SF: 30 dB",
         "frame 2, SF: 32 dB",
         "frame 1, EF: 31 dB",

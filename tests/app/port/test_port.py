@@ -133,9 +133,9 @@ MALFORMED = [
 def test_what_is_wrong_with_a_job_is_named(job, stage, place, change, words):
     folder = job(stage=stage)
     change(folder / place)
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError) as error:
         ports.run_job(folder, "ref")
-    message = str(caught.value)
+    message = str(error.value)
     assert len(message.splitlines()) == 1
     assert str(folder if place == "0000" else folder / place) in message
     assert words in message

@@ -53,16 +53,16 @@ def write(folder, images, *, labelled=True):
     return folder
 
 
-def near(found, expected):
+def near(value, expected):
     """Equal but for float32 rounding of values up to 255."""
-    return abs(found - expected) < 1e-4
+    return abs(value - expected) < 1e-4
 
 
 def flicker(*folders_and_sequence, frames=None):
     """The comparison, and what flickers in each of its frames."""
     out, truth, input_frames = folders_and_sequence
-    found = compare(out, truth, sequence=input_frames, frames=frames)
-    return found, [row.scores["all"].flicker for row in found.rows]
+    comparison = compare(out, truth, sequence=input_frames, frames=frames)
+    return comparison, [row.scores["all"].flicker for row in comparison.rows]
 
 
 def test_what_moves_as_its_motion_says_does_not_flicker(sequence, tmp_path):
@@ -80,10 +80,10 @@ def test_flicker_is_a_change_that_the_truth_has_not(sequence, tmp_path, output, 
         write(tmp_path / name, [texture() + levels / 255 * (n % 2) for n in range(6)])
         for name, levels in (("out", output), ("truth", truth))
     ]
-    found, errors = flicker(*folders, sequence(0, 0))
+    values, errors = flicker(*folders, sequence(0, 0))
     assert errors[0] is None
-    assert [mean.name for mean in found.means] == ["SF", "EF", "MEAN"]
-    assert all(near(x, error) for x in (*errors[1:], *(mean.scores["all"].flicker for mean in found.means)))
+    assert [mean.name for mean in values.means] == ["SF", "EF", "MEAN"]
+    assert all(near(x, error) for x in (*errors[1:], *(mean.scores["all"].flicker for mean in values.means)))
 
 
 def test_what_cannot_be_followed_is_left_out(sequence, tmp_path, write_frames):
@@ -105,10 +105,10 @@ def test_what_cannot_be_followed_is_left_out(sequence, tmp_path, write_frames):
 def test_nothing_to_follow_is_no_number(sequence, tmp_path):
     images = [texture()] * 6
     out, truth = write(tmp_path / "out", images, labelled=False), write(tmp_path / "truth", images)
-    found, errors = flicker(out, truth, sequence(99, 0))
+    values, errors = flicker(out, truth, sequence(99, 0))
     assert errors == [None] * 6
-    assert json.loads(found.to_json())["means"]["all"]["all"]["flicker"] is None
-    assert any(line == "flicker of the steps: all -" for line in facts(found))
+    assert json.loads(values.to_json())["means"]["all"]["all"]["flicker"] is None
+    assert any(line == "flicker of the steps: all -" for line in facts(values))
 
 
 def test_only_frames_in_a_row_count(sequence, tmp_path):

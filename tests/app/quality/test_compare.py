@@ -58,9 +58,9 @@ def decibels(off):
     return 20 * math.log10(255 / off)
 
 
-def near(found, expected):
+def near(value, expected):
     """Equal but for the last digits of float64 arithmetic on numbers below 100."""
-    return abs(found - expected) < 1e-10
+    return abs(value - expected) < 1e-10
 
 
 def test_known_differences_give_known_scores(out, truth):
@@ -68,33 +68,33 @@ def test_known_differences_give_known_scores(out, truth):
     write_pair(out, truth, 2, "SF", 1)
     write_pair(out, truth, 3, "EF", 4)
     write_pair(out, truth, 4, "SF", 2)
-    found = compare(out, truth)
-    assert [(r.number, r.kind) for r in found.rows] == [(2, "SF"), (3, "EF"), (4, "SF")]
-    assert [(m.name, m.frames) for m in found.means] == [("SF", 2), ("EF", 1), ("MEAN", 3)]
-    sf, ef, mean = (m.scores["all"].psnr_rgb for m in found.means)
+    comparison = compare(out, truth)
+    assert [(r.number, r.kind) for r in comparison.rows] == [(2, "SF"), (3, "EF"), (4, "SF")]
+    assert [(m.name, m.frames) for m in comparison.means] == [("SF", 2), ("EF", 1), ("MEAN", 3)]
+    sf, ef, mean = (m.scores["all"].psnr_rgb for m in comparison.means)
     assert near(sf, (decibels(1) + decibels(2)) / 2)
     assert near(ef, decibels(4))
     assert near(mean, (sf + ef) / 2)
-    assert near(found.means[1].scores["holes"].psnr_rgb, decibels(4))
-    assert near(found.means[1].scores["all"].psnr_luma, decibels(4 * 219 / 255))
-    assert found.means[0].scores["holes"].psnr_rgb is None
-    assert found.means[2].scores["holes"].psnr_rgb is None
-    assert found.means[0].scores["edges"].psnr_rgb is None  # a flat truth has no edges
-    assert found.notes == []
-    assert found.made_with == {"weights": ["arena"], "backend": ["ref"], "transfer": ["srgb"]}
+    assert near(comparison.means[1].scores["holes"].psnr_rgb, decibels(4))
+    assert near(comparison.means[1].scores["all"].psnr_luma, decibels(4 * 219 / 255))
+    assert comparison.means[0].scores["holes"].psnr_rgb is None
+    assert comparison.means[2].scores["holes"].psnr_rgb is None
+    assert comparison.means[0].scores["edges"].psnr_rgb is None  # a flat truth has no edges
+    assert comparison.notes == []
+    assert comparison.made_with == {"weights": ["arena"], "backend": ["ref"], "transfer": ["srgb"]}
 
 
 def test_tpsnr_is_of_the_change(out, truth):
     """Off by 1, 3 and 3 levels: the change is off by 2, then by nothing. After a missing frame there is no change to judge."""
     for number, off in ((1, 1), (2, 3), (3, 3), (5, 5)):
         write_pair(out, truth, number, "EF" if number % 2 else "SF", off)
-    found = compare(out, truth)
-    changes = [row.scores["all"].tpsnr for row in found.rows]
+    comparison = compare(out, truth)
+    changes = [row.scores["all"].tpsnr for row in comparison.rows]
     assert changes[0] is None
     assert abs(changes[1] - decibels(2)) < 1e-4  # levels of a PNG are read as float32
     assert changes[2] == math.inf or changes[2] > 140
     assert changes[3] is None
-    assert found.rows[1].scores["edges"].tpsnr is None
+    assert comparison.rows[1].scores["edges"].tpsnr is None
 
 
 def test_the_holes_of_static_surfaces_are_a_mean(out, truth):
@@ -102,9 +102,9 @@ def test_the_holes_of_static_surfaces_are_a_mean(out, truth):
         write_pair(out, truth, number, "EF", 0)
         more = {} if share is None else {"stss:static-holes": share}
         write_rgb(out / f"frame.{number:04d}.png", flat(100), metadata={**labels("EF"), **more})
-    found = compare(out, truth)
-    assert json.loads(found.to_json())["static_holes"] == found.static_holes == 0.3
-    assert "holes: 30.0% of the static surfaces of EFs" in facts(found)
+    comparison = compare(out, truth)
+    assert json.loads(comparison.to_json())["static_holes"] == comparison.static_holes == 0.3
+    assert "holes: 30.0% of the static surfaces of EFs" in facts(comparison)
 
 
 def test_holes_are_those_of_another_run_where_it_is_named(out, truth, tmp_path):
@@ -152,8 +152,8 @@ def test_values_that_are_not_finite_are_refused(out, truth, side):
     for folder in (out, truth):
         image = bad if folder.name == side else np.nan_to_num(bad, nan=0.0, posinf=0.0)
         write_raw(folder / "frame.0001.exr", {name: image[..., i] for i, name in enumerate("RGB")})
-    found = rf"{side}/frame\.0001\.exr: 4 non-finite values, first in G at \(y=3, x=4\); --non-finite mask takes them as 0"
-    with pytest.raises(InputError, match=found):
+    message = rf"{side}/frame\.0001\.exr: 4 non-finite values, first in G at \(y=3, x=4\); --non-finite mask takes them as 0"
+    with pytest.raises(InputError, match=message):
         compare(out, truth)
     assert compare(out, truth, non_finite="mask").rows[0].scores["all"].psnr_rgb == math.inf
     refused(call("compare", out, truth), "4 non-finite values")
@@ -164,19 +164,19 @@ def test_other_primaries_are_named(out, truth):
     """Colours are compared as they are; a file without the attribute has those of Rec. 709."""
     image = {name: np.full(SIZE, 0.5) for name in "RGB"}
     wide = 0.708, 0.292, 0.17, 0.797, 0.131, 0.046, 0.3127, 0.329
-    given = (None, wide, wide, (*REC709[:-1], 0.3290001))
-    for number, (ours, theirs) in enumerate(zip(given, (wide, wide, None, None), strict=True)):
+    primaries = (None, wide, wide, (*REC709[:-1], 0.3290001))
+    for number, (ours, theirs) in enumerate(zip(primaries, (wide, wide, None, None), strict=True)):
         for folder, chromaticities in ((out, ours), (truth, theirs)):
             pixels = np.stack([*image.values()], axis=-1).astype(np.float32)
             metadata = {"stss:kind": "SF"} | ({} if chromaticities is None else {"chromaticities": chromaticities})
             path = folder / f"frame.{number:04d}.exr"
             path.write_bytes(encode_exr(path, ("R", "G", "B"), pixels, (), metadata))
-    told = [line for line in facts(compare(out, truth)) if "chromaticities" in line]
-    assert len(told) == 1
-    assert told[0].startswith(
+    notes = [line for line in facts(compare(out, truth)) if "chromaticities" in line]
+    assert len(notes) == 1
+    assert notes[0].startswith(
         "chromaticities of frames 0, 2: 0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329 in the output, 0.708, "
     )
-    assert told[0].endswith("in the truth; not converted")
+    assert notes[0].endswith("in the truth; not converted")
 
 
 def test_frames_without_partner_are_listed(out, truth):
@@ -185,11 +185,11 @@ def test_frames_without_partner_are_listed(out, truth):
         write_pair(out, truth, number, "SF", 1)
     (truth / "shot.0001.png").unlink()
     (out / "frame.0006.png").unlink()
-    found = compare(out, truth)
-    assert (found.without_truth, found.without_output) == ([1], [6])
-    found = compare(out, truth, frames=(3, 6))
-    assert [r.number for r in found.rows] == [3, 4, 5]
-    assert (found.without_truth, found.without_output) == ([], [6])
+    comparison = compare(out, truth)
+    assert (comparison.without_truth, comparison.without_output) == ([1], [6])
+    comparison = compare(out, truth, frames=(3, 6))
+    assert [r.number for r in comparison.rows] == [3, 4, 5]
+    assert (comparison.without_truth, comparison.without_output) == ([], [6])
 
 
 def test_somebody_else_s_output_is_one_group(out, truth):
@@ -197,26 +197,26 @@ def test_somebody_else_s_output_is_one_group(out, truth):
     write_pair(out, truth, 1, None, 1)
     write_rgb(out / "frame.0002.exr", np.zeros((*SIZE, 3), np.float32))
     write_rgb(truth / "shot.0002.png", flat(0))
-    found = compare(out, truth)
-    assert [(m.name, m.frames) for m in found.means] == [("all", 2)]
-    assert [note.partition(": ")[2] for note in found.notes] == [
+    comparison = compare(out, truth)
+    assert [(m.name, m.frames) for m in comparison.means] == [("all", 2)]
+    assert [note.partition(": ")[2] for note in comparison.notes] == [
         "kinds of frame are not known (no stss:kind); means are over all frames",
         "no transfer named (no stss:transfer); EXR is taken as scene-linear and shown as srgb",
         "no holes of frames 1 to 2; not scored there",
     ]
-    assert found.rows[0].scores["holes"].psnr_luma is None
+    assert comparison.rows[0].scores["holes"].psnr_luma is None
 
 
 def test_json_is_valid_and_says_infinite(out, truth):
     """No NaN or Infinity, which JSON lacks: "inf" and null."""
     write_pair(out, truth, 3, "EF", 0)
     text = compare(out, truth).to_json()
-    found = json.loads(text, parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))
-    frame = found["frames"][0]
+    data = json.loads(text, parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))
+    frame = data["frames"][0]
     assert [frame[name] for name in ("frame", "kind", "output", "truth")] == [3, "EF", "frame.0003.png", "shot.0003.png"]
     assert frame["all"] == {"psnr_luma": "inf", "ssim": 1, "psnr_rgb": "inf", "tpsnr": None}
     assert frame["edges"] == {"psnr_luma": None, "ssim": None, "psnr_rgb": None}
-    assert found["means"]["EF"]["frames"] == 1
+    assert data["means"]["EF"]["frames"] == 1
 
 
 def test_what_does_not_fit_is_named(out, truth):

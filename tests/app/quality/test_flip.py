@@ -64,11 +64,11 @@ def test_flip_is_nought_where_nothing_differs():
     assert not flip_map(image, image).any()
     assert flip_map(np.zeros_like(image), np.ones_like(image)).min() > 0.9  # known from its paper: the largest error of all
     other[:8, :8] = 0
-    found = flip_map(other, image)
-    assert found.shape == SIZE
-    assert found.max() <= 1
-    assert found[:8, :8].min() > 0
-    assert not found[-8:, -8:].any()  # farther off than the eye's filters reach
+    difference = flip_map(other, image)
+    assert difference.shape == SIZE
+    assert difference.max() <= 1
+    assert difference[:8, :8].min() > 0
+    assert not difference[-8:, -8:].any()  # farther off than the eye's filters reach
 
 
 @needs_vmaf
@@ -88,28 +88,28 @@ def test_vmaf_knows_better_from_worse():
 def test_compare_takes_them_when_asked(folders):
     result = call("compare", *folders, "--flip", "--vmaf", "--json")
     assert result.returncode == 0, result.stderr
-    found = compare(*folders, perceptual=Perceptual(flip=True, vmaf=True))
-    assert json.loads(result.stdout) == json.loads(found.to_json())
-    sf, ef, mean = found.means
+    comparison = compare(*folders, perceptual=Perceptual(flip=True, vmaf=True))
+    assert json.loads(result.stdout) == json.loads(comparison.to_json())
+    sf, ef, mean = comparison.means
     assert sf.scores["all"].flip == 0
     assert 0 < ef.scores["all"].flip < ef.scores["holes"].flip
     assert ef.scores["all"].vmaf < sf.scores["all"].vmaf
     assert mean.scores["all"].vmaf == (sf.scores["all"].vmaf + ef.scores["all"].vmaf) / 2
     assert ef.scores["holes"].vmaf is None
-    assert found.metrics == ["psnr_luma", "ssim", "psnr_rgb", "flip", "vmaf", "tpsnr"]
-    frame = json.loads(found.to_json())["frames"][0]
-    assert list(frame["all"]) == found.metrics
-    assert list(frame["holes"]) == found.metrics[:-2]
+    assert comparison.metrics == ["psnr_luma", "ssim", "psnr_rgb", "flip", "vmaf", "tpsnr"]
+    frame = json.loads(comparison.to_json())["frames"][0]
+    assert list(frame["all"]) == comparison.metrics
+    assert list(frame["holes"]) == comparison.metrics[:-2]
     hole = np.zeros(SIZE, np.bool_)
     hole[10:22, 14:38] = True
     image = blurred(scene(1))
     image[hole] = 1
     assert score(image, scene(1), hole, flip=True)["holes"].flip == flip_map(image, scene(1))[hole].mean()
     console = Console(file=io.StringIO(), width=80)
-    print_comparison(found, console)
+    print_comparison(comparison, console)
     row = next(line.split() for line in console.file.getvalue().splitlines() if line.split()[:2] == ["1", "EF"])
-    assert row[-4:-2] == [f"{found.rows[0].scores[region].flip:.4f}" for region in ("all", "edges")]
-    assert row[-1] == f"{found.rows[0].scores['all'].vmaf:.2f}"  # whole, though the table is wider than the console
+    assert row[-4:-2] == [f"{comparison.rows[0].scores[region].flip:.4f}" for region in ("all", "edges")]
+    assert row[-1] == f"{comparison.rows[0].scores['all'].vmaf:.2f}"  # whole, though the table is wider than the console
 
 
 @pytest.mark.parametrize(("module", "option"), [("flip_evaluator", "flip"), ("imageio_ffmpeg", "vmaf")])

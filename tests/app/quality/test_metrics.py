@@ -75,8 +75,8 @@ def test_an_empty_region_has_no_score():
     rim = ~nowhere
     rim[5:-5, 5:-5] = False
     for hole, same in ((nowhere, None), (rim, math.inf)):
-        found = metrics.score(image, image, hole)["holes"]
-        assert (found.psnr_luma, found.ssim, found.psnr_rgb) == (same, None, same)
+        scores = metrics.score(image, image, hole)["holes"]
+        assert (scores.psnr_luma, scores.ssim, scores.psnr_rgb) == (same, None, same)
 
 
 @quick
@@ -94,10 +94,10 @@ def test_edges_are_those_of_the_truth():
     """A black and a white half: the edge runs along the border between them, nowhere else."""
     truth = np.zeros((16, 16, 3), np.uint8)
     truth[:, 8:] = 255
-    found = metrics.edges(truth)
-    assert found.any(axis=1).all()
-    assert not found[:, :6].any()
-    assert not found[:, 10:].any()
+    mask = metrics.edges(truth)
+    assert mask.any(axis=1).all()
+    assert not mask[:, :6].any()
+    assert not mask[:, 10:].any()
     assert not metrics.edges(np.full_like(truth, 128)).any()
 
 

@@ -80,7 +80,7 @@ def test_the_look_ahead_is_bounded(slow):
         waiting += (name == "compute end") - (name == "write end")
         most_ahead, most_waiting = max(most_ahead, ahead), max(most_waiting, waiting)
     most = (most_ahead, FRAMES_AHEAD + 1), (most_waiting, FRAMES_AHEAD)  # with the one that is computed, or written
-    assert all(found <= bound for found, bound in most)
+    assert all(value <= bound for value, bound in most)
     assert most[slow == "write"][0] == most[slow == "write"][1]
 
 
@@ -122,7 +122,7 @@ def loads(monkeypatch):
     return numbers
 
 
-def written(out):
+def numbers_in(out):
     return sorted(int(path.stem.split(".")[1]) for path in out.glob("frame.*"))
 
 
@@ -137,7 +137,7 @@ def test_frames_are_on_disk_when_they_are_reported_by_the_callers_thread(sequenc
     out, backend, reports = tmp_path / "out", Noted(), []
 
     def check(report):
-        assert report.number in written(out)
+        assert report.number in numbers_in(out)
         assert report.number % 2 == 0 or (out / "holes" / f"frame.{report.number:04d}.png").exists()
         reports.append(report)
 
@@ -168,8 +168,8 @@ def test_an_error_of_the_writer_stops_the_run(sequence, tmp_path):
     backend = Noted(lambda call, image: image * np.float32(np.nan) if call == 5 else image)
     with pytest.raises(ArrayError, match="image"):
         run(sequence, tmp_path / "out", backend, "w", RunOptions())
-    assert written(tmp_path / "out") == list(range(5))
-    assert written(tmp_path / "out" / "holes") == [1, 3]
+    assert numbers_in(tmp_path / "out") == list(range(5))
+    assert numbers_in(tmp_path / "out" / "holes") == [1, 3]
     assert len(backend.threads) <= 5 + 1 + FRAMES_AHEAD
     assert not [path for path in (tmp_path / "out").rglob("*") if path.name.startswith(".")]
 
@@ -283,9 +283,9 @@ def test_a_browser_shows_the_pixels_of_each_picture(write_frames, tmp_path, ask)
             const context = canvas.getContext("2d"); context.drawImage(image, 0, 0);
             return [canvas.height, canvas.width, [...context.getImageData(0, 0, canvas.width, canvas.height).data]];"""
         height, width, data = ask(page, script)
-        shown = np.array(data).reshape(height, width, 4)
-        assert (shown[..., 3] == 255).all()
-        np.testing.assert_array_equal(shown[..., :3], np.rint(255 * read_rgb(tmp_path / "out" / name)))
+        pixels = np.array(data).reshape(height, width, 4)
+        assert (pixels[..., 3] == 255).all()
+        np.testing.assert_array_equal(pixels[..., :3], np.rint(255 * read_rgb(tmp_path / "out" / name)))
 
 
 def give_metadata(path, metadata):

@@ -24,50 +24,50 @@ def write(folder, scene, change=lambda motion: motion):
     """A sequence of a scene whose background's motion is changed."""
     folder.mkdir()
     for number in range(FRAMES):
-        seen = render(SCENES[scene], number, *SIZE)
-        channels = frame_channels(seen, rendered=number % 2 == 0)
-        missed = ~np.isfinite(seen.depth)
+        view = render(SCENES[scene], number, *SIZE)
+        channels = frame_channels(view, rendered=number % 2 == 0)
+        missed = ~np.isfinite(view.depth)
         for name in ("motion.X", "motion.Y"):
             channels[name] = np.where(missed, change(channels[name]), channels[name]).astype(np.float32)
         write_channels(demo_path(folder, number), channels)
     return folder
 
 
-def said(folder, **options):
+def findings_of(folder, **options):
     return [
         (f.level, f.text) for f in check(folder, SequenceOptions("stss", **options)).findings if f.text.startswith("background")
     ]
 
 
 @pytest.mark.parametrize(
-    ("change", "found"),
+    ("change", "words"),
     [(lambda m: 0 * m, "0"), (lambda m: 0 * m - 3, "off by"), (lambda m: 2 * m, "off by"), (lambda m: -m, "off by")],
     ids=["0", "flushed", "twice", "negated"],
 )
-def test_a_background_without_its_motion_is_told(tmp_path, change, found):
-    ((level, text),) = said(write(tmp_path / "in", "pan", change))
+def test_a_background_without_its_motion_is_told(tmp_path, change, words):
+    ((level, text),) = findings_of(write(tmp_path / "in", "pan", change))
     assert level == "warning"
-    assert text.startswith(f"background: its motion is {found}")
+    assert text.startswith(f"background: its motion is {words}")
     assert "give --background camera" in text
-    ((level, text),) = said(tmp_path / "in", background="camera")
+    ((level, text),) = findings_of(tmp_path / "in", background="camera")
     assert (level, text[:31]) == ("note", "background: its motion is right")
 
 
 @pytest.mark.parametrize("scene", ["pan", "demo", "static", "flythrough"])
 def test_a_background_as_it_is_gives_no_warning(tmp_path, scene):
-    assert [level for level, _ in said(write(tmp_path / "in", scene))] == ["note"]
+    assert [level for level, _ in findings_of(write(tmp_path / "in", scene))] == ["note"]
 
 
 def test_a_background_that_is_not_finite_is_told(tmp_path):
     folder = write(tmp_path / "in", "pan")
     change = open_sequence(folder, "stss")
-    assert said(folder)[0][0] == "note"
+    assert findings_of(folder)[0][0] == "note"
     for number in range(FRAMES):
         buffers = change.load(number)
         channels = frame_channels(render(SCENES["pan"], number, *SIZE), rendered=True)
         channels["motion.X"] = np.where(np.isfinite(buffers.depth), channels["motion.X"], 3e38).astype(np.float32)
         write_channels(demo_path(folder, number), channels)
-    assert said(folder)[0][1].startswith("background: its motion is off by 3e+38 pixels")
+    assert findings_of(folder)[0][1].startswith("background: its motion is off by 3e+38 pixels")
 
 
 @pytest.mark.parametrize("scene", ["pan", "demo", "flythrough"])

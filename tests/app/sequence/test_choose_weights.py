@@ -49,13 +49,13 @@ def rendered(tmp_path_factory):
     ],
 )
 def test_frames_say_how_they_were_sampled(rendered, kind, antialiased, reason):
-    sequence, said = open_sequence(rendered / kind, "stss"), []
-    found, name = judge_sampling(sequence), "antialiased" if antialiased else "realtime"
-    assert found.antialiased == antialiased
-    assert reason in found.reason
-    loaded = choose_weights(AUTO, sequence, said.append)
+    sequence, lines = open_sequence(rendered / kind, "stss"), []
+    sampling, name = judge_sampling(sequence), "antialiased" if antialiased else "realtime"
+    assert sampling.antialiased == antialiased
+    assert reason in sampling.reason
+    loaded = choose_weights(AUTO, sequence, lines.append)
     assert loaded.label == f"{name} {load(name).identity}"
-    assert said[0].startswith(f"weights: {name} (")
+    assert lines[0].startswith(f"weights: {name} (")
     report = check(rendered / kind, SequenceOptions("stss"))
     assert any(f"stss run takes the weights {name}" in finding.text for finding in report.findings)
     assert json.loads(report.to_json())["sampling"]["antialiased"] is antialiased
@@ -103,12 +103,12 @@ def test_each_part_has_its_own_compression(rendered, tmp_path, beauty, others):
 
 def test_where_nothing_is_to_be_chosen_nothing_is_said(rendered):
     """A name overrides the frames, and a method without a network needs none; a wrong name is wrong all the same."""
-    said, sequence = [], open_sequence(rendered / "aliased", "stss")
-    assert choose_weights("antialiased", sequence, said.append).source == "antialiased"
-    assert choose_weights(AUTO, sequence, said.append, needed=False).source == "bilinear"
-    assert said == []
+    lines, sequence = [], open_sequence(rendered / "aliased", "stss")
+    assert choose_weights("antialiased", sequence, lines.append).source == "antialiased"
+    assert choose_weights(AUTO, sequence, lines.append, needed=False).source == "bilinear"
+    assert lines == []
     with pytest.raises(InputError):
-        choose_weights("bicubic", sequence, said.append, needed=False)
+        choose_weights("bicubic", sequence, lines.append, needed=False)
 
 
 def test_a_sky_with_a_depth_mixes_nothing(write_frames):
@@ -119,8 +119,8 @@ def test_a_sky_with_a_depth_mixes_nothing(write_frames):
         for axis in "XYZ":
             channels[f"normal.{axis}"][:8] = 0
 
-    found = judge_sampling(open_sequence(write_frames([1, 2], change=change), "stss"))
-    assert "mixtures" not in found.reason
+    sampling = judge_sampling(open_sequence(write_frames([1, 2], change=change), "stss"))
+    assert "mixtures" not in sampling.reason
 
 
 def test_a_part_of_a_sequence_gets_the_weights_of_the_whole(rendered, tmp_path):
@@ -134,6 +134,6 @@ def test_a_part_of_a_sequence_gets_the_weights_of_the_whole(rendered, tmp_path):
 
 
 def test_where_nothing_tells_frames_count_as_an_engine_gives_them(write_frames):
-    found = judge_sampling(open_sequence(write_frames([1, 2, 3]), "stss"))
-    assert not found.antialiased
-    assert "only 0 edges" in found.reason
+    sampling = judge_sampling(open_sequence(write_frames([1, 2, 3]), "stss"))
+    assert not sampling.antialiased
+    assert "only 0 edges" in sampling.reason

@@ -13,7 +13,7 @@ from tests.app.conftest import PLAIN
 from tests.hostile.cases import call
 
 
-def found(folder, *names, path=None):
+def find_names(folder, *names, path=None):
     """Frame number -> name, of empty files."""
     folder.mkdir(exist_ok=True)
     for name in names:
@@ -37,7 +37,7 @@ def found(folder, *names, path=None):
     ids=str,
 )
 def test_a_minus_sign_is_told_from_a_dash(tmp_path, names):
-    assert found(tmp_path, *names.values()) == names
+    assert find_names(tmp_path, *names.values()) == names
 
 
 def test_frames_before_zero_run_in_order(write_frames, tmp_path):
@@ -71,31 +71,31 @@ def test_frames_before_zero_are_compared(tmp_path):
 
 def test_a_pattern_says_where_the_separators_are(tmp_path):
     eyes = [f"sh.000{n}_{eye}" for n in (1, 2) for eye in "LR"]
-    assert found(tmp_path, *eyes, path=tmp_path / "sh.####_L.exr") == {1: "sh.0001_L", 2: "sh.0002_L"}
+    assert find_names(tmp_path, *eyes, path=tmp_path / "sh.####_L.exr") == {1: "sh.0001_L", 2: "sh.0002_L"}
     twice = ["a.0001", "a_0001", "a_0002"]
-    assert found(tmp_path, *twice, path=tmp_path / "a_####.exr") == {1: "a_0001", 2: "a_0002"}
-    assert found(tmp_path, *twice, path=tmp_path / "a.####") == {1: "a.0001"}
-    assert found(tmp_path, "b#c.0001", path=tmp_path / "b#c.#.exr") == {1: "b#c.0001"}
+    assert find_names(tmp_path, *twice, path=tmp_path / "a_####.exr") == {1: "a_0001", 2: "a_0002"}
+    assert find_names(tmp_path, *twice, path=tmp_path / "a.####") == {1: "a.0001"}
+    assert find_names(tmp_path, "b#c.0001", path=tmp_path / "b#c.#.exr") == {1: "b#c.0001"}
 
 
 def test_a_folder_may_have_a_number_sign(tmp_path):
-    assert found(tmp_path / "take #2", "a.0001") == {1: "a.0001"}
-    assert found(tmp_path / "take #2", path=tmp_path / "take #2" / "a.#.exr") == {1: "a.0001"}
+    assert find_names(tmp_path / "take #2", "a.0001") == {1: "a.0001"}
+    assert find_names(tmp_path / "take #2", path=tmp_path / "take #2" / "a.#.exr") == {1: "a.0001"}
 
 
 @pytest.mark.parametrize("pattern", ["", "shot.####.exr", "shot.####.#.exr"])
 @pytest.mark.parametrize("names", [("0001.0", "0001.5", "0002.0", "0002.5"), ("1", "1.5", "2", "2.5")], ids=" ".join)
 def test_fractions_are_named(tmp_path, names, pattern):
     if names[0] == "1" and pattern == "shot.####.exr":
-        assert found(tmp_path, *(f"shot.{n}" for n in names), path=tmp_path / pattern) == {1: "shot.1", 2: "shot.2"}
+        assert find_names(tmp_path, *(f"shot.{n}" for n in names), path=tmp_path / pattern) == {1: "shot.1", 2: "shot.2"}
         return
     with pytest.raises(InputError, match=rf"; {names[1]} looks like a fraction, .* by whole numbers, half frames too"):
-        found(tmp_path, *(f"shot.{n}" for n in names), path=tmp_path / pattern)
+        find_names(tmp_path, *(f"shot.{n}" for n in names), path=tmp_path / pattern)
 
 
 def test_versions_are_no_fractions(tmp_path):
     with pytest.raises(InputError) as error:
-        found(tmp_path, "shot_v1.0001", "shot_v2.0001")
+        find_names(tmp_path, "shot_v1.0001", "shot_v2.0001")
     assert "looks like" not in str(error.value)
 
 

@@ -61,9 +61,9 @@ def test_each_mistake_is_named(tmp_path, old, new, message):
     assert text.count(old) >= 1
     path = tmp_path / "mine.toml"
     path.write_text(text.replace(old, new, 1), encoding="utf-8")
-    with pytest.raises(InputError, match=r"mine\.toml: " + re.escape(message)) as caught:
+    with pytest.raises(InputError, match=r"mine\.toml: " + re.escape(message)) as error:
         load_profile(path)
-    assert "\n" not in str(caught.value)
+    assert "\n" not in str(error.value)
 
 
 def test_a_profile_may_say_only_what_it_changes(tmp_path):
@@ -138,15 +138,15 @@ def test_all_buffers_that_are_missing_are_said_at_once(tmp_path):
     """An artist who adds one pass and renders again learns of no second one then."""
     names = [n for n in FILE_OUTPUT if not n.startswith(("metallic", "roughness", "IndexOB"))]
     write_channels(tmp_path / "a.0001.exr", {n: np.ones((4, 4)) for n in names})
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError) as error:
         open_sequence(tmp_path)
-    assert re.findall(r"no (\w+): profile blender expects", str(caught.value)) == ["stencil", "roughness", "metallic"]
-    for said in ("turn on the Object Index pass", "--roughness 0.5", "--metallic 0", "found Depth.V, DiffCol.B"):
-        assert said in str(caught.value)
+    assert re.findall(r"no (\w+): profile blender expects", str(error.value)) == ["stencil", "roughness", "metallic"]
+    for words in ("turn on the Object Index pass", "--roughness 0.5", "--metallic 0", "found Depth.V, DiffCol.B"):
+        assert words in str(error.value)
 
 
 @pytest.mark.parametrize(
-    ("name", "stored", "motion"),
+    ("name", "in_file", "motion"),
     [
         # The point came from 3 pixels right of and 2 pixels below where it is now, in an image 40 wide and 20 high.
         ("stss", (3, 2), (3, 2)),
@@ -157,9 +157,9 @@ def test_all_buffers_that_are_missing_are_said_at_once(tmp_path):
         ("mitsuba", (3, 2), (3, 2)),
     ],
 )
-def test_motion_of_every_profile(name, stored, motion):
+def test_motion_of_every_profile(name, in_file, motion):
     """One displacement as each renderer writes it. The comparison is exact after rounding to thousandths of a pixel."""
-    values = np.broadcast_to(np.array(stored, dtype=np.float32), (20, 40, 2))
+    values = np.broadcast_to(np.array(in_file, dtype=np.float32), (20, 40, 2))
     pixels = motion_in_pixels(values, load_profile(name).motion)
     assert pixels.dtype == np.float32
     np.testing.assert_array_equal(np.rint(pixels * 1000), np.broadcast_to(np.array(motion) * 1000, (20, 40, 2)))
@@ -170,10 +170,10 @@ def test_motion_of_every_profile(name, stored, motion):
 def test_device_depth(reverse, far):
     """z = near at one end, far at the other, 1 / z linear between; the far plane is background."""
     z = np.array([[0.5, 1, 2, 8, 32]])
-    stored = (1 / z - 1 / far) / (1 / 0.5 - 1 / far)
-    stored = np.append(stored, [[0]], axis=1)
+    values = (1 / z - 1 / far) / (1 / 0.5 - 1 / far)
+    values = np.append(values, [[0]], axis=1)
     rule = DepthRule("device", np.inf, 0.5, far, reverse)
-    depth = linear_depth((stored if reverse else 1 - stored).astype(np.float64), rule)
+    depth = linear_depth((values if reverse else 1 - values).astype(np.float64), rule)
     np.testing.assert_array_equal(np.rint(depth[0, :5] * 1000), z[0] * 1000)
     assert np.isinf(depth[0, 5])
 
@@ -209,6 +209,6 @@ def test_no_view_takes_what_another_one_has_alone(tmp_path):
     write_parts(tmp_path / "a.0001.exr", (np.ones((4, 4, 7), np.float32), tuple(names), {"multiView": attribute}))
     with pytest.raises(InputError, match=r"no depth: profile stss expects depth\.Z"):
         open_sequence(tmp_path, load_profile("stss", view="right"))
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError) as error:
         open_sequence(tmp_path, load_profile("stss", view="left"))
-    assert "no depth" not in str(caught.value)
+    assert "no depth" not in str(error.value)

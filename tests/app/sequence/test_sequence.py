@@ -22,17 +22,17 @@ def test_frames_are_found_and_read_as_written(write_frames):
     assert sequence.rendered == {2, 4}
     assert sequence.size == (48, 64)
     assert sequence.files(3) == (folder / "seq.0003.exr",)
-    stored = read_channels(folder / "seq.0004.exr", ["R", "motion.Y", "position.X", "basecolor.G", "nov.X"])
+    channels = read_channels(folder / "seq.0004.exr", ["R", "motion.Y", "position.X", "basecolor.G", "nov.X"])
     frame = sequence.load(4)
     assert frame.color is not None
     assert {(a.dtype, a.flags.c_contiguous) for a in vars(frame).values() if isinstance(a, np.ndarray)} == {
         (np.dtype("float32"), True)
     }
-    np.testing.assert_array_equal(frame.color[..., 0], stored["R"])
-    np.testing.assert_array_equal(frame.motion[..., 1], stored["motion.Y"])
-    np.testing.assert_array_equal(frame.position[..., 0], stored["position.X"])
-    np.testing.assert_array_equal(frame.base_color[..., 1], stored["basecolor.G"])
-    np.testing.assert_array_equal(frame.nov, stored["nov.X"])
+    np.testing.assert_array_equal(frame.color[..., 0], channels["R"])
+    np.testing.assert_array_equal(frame.motion[..., 1], channels["motion.Y"])
+    np.testing.assert_array_equal(frame.position[..., 0], channels["position.X"])
+    np.testing.assert_array_equal(frame.base_color[..., 1], channels["basecolor.G"])
+    np.testing.assert_array_equal(frame.nov, channels["nov.X"])
     assert sequence.load(3).color is None
     assert sequence.load(4, color=False).color is None
     missing = "frame 5: not there; STSS needs the G-buffer and motion of every display frame, rendered or not"
@@ -75,10 +75,10 @@ def test_which_files_belong_to_the_sequence(write_frames):
         open_sequence(folder / "other.####.exr", "stss")
 
 
-@pytest.mark.parametrize("stored", [np.nan, np.inf, 1e9, 0, -1])
-def test_where_nothing_was_hit(write_frames, stored):
+@pytest.mark.parametrize("value", [np.nan, np.inf, 1e9, 0, -1])
+def test_where_nothing_was_hit(write_frames, value):
     def change(number, channels):
-        channels["depth.Z"][5, 20] = stored
+        channels["depth.Z"][5, 20] = value
         channels["metallic.X"][5, 20:22] = 1
 
     frame = open_sequence(write_frames([1], change=change), "stss").load(1)
@@ -265,8 +265,8 @@ def test_world_to_camera(tmp_path, row_vectors):
     planes = {f"position.{name}": np.full((4, 6), value) for name, value in zip("XYZ", position, strict=True)}
     planes |= {name: np.ones((4, 6)) for name in ("R", "G", "B", "albedo.R", "albedo.G", "albedo.B", "normal.X", "normal.Y")}
     planes |= {"normal.Z": -np.ones((4, 6)), "depth.T": np.full((4, 6), np.linalg.norm(in_camera))}
-    stored = {"worldToCamera": (oiio.TypeDesc("matrix"), [float(x) for x in (matrix.T if row_vectors else matrix).ravel()])}
-    write_parts(tmp_path / "a.0001.exr", (np.stack([*planes.values()], -1).astype(np.float32), tuple(planes), stored))
+    attributes = {"worldToCamera": (oiio.TypeDesc("matrix"), [float(x) for x in (matrix.T if row_vectors else matrix).ravel()])}
+    write_parts(tmp_path / "a.0001.exr", (np.stack([*planes.values()], -1).astype(np.float32), tuple(planes), attributes))
     write_channels(tmp_path / "a_motion.0001.exr", {"X": np.ones((4, 6)), "Y": np.ones((4, 6))})
     frame = open_sequence(tmp_path, "mitsuba", metallic=0, roughness=0.5).load(1)
     assert np.abs(frame.depth - 4).max() <= 4 * 2.0**-20

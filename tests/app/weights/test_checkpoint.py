@@ -27,9 +27,9 @@ class Call:
 
 
 def refusal(path: Path) -> str:
-    with pytest.raises(WeightsError) as caught:
+    with pytest.raises(WeightsError) as error:
         read_checkpoint(path)
-    message = str(caught.value)
+    message = str(error.value)
     assert message.startswith(f"{path}: ")
     assert message.isprintable()
     return message.removeprefix(f"{path}: ")

@@ -42,7 +42,7 @@ def test_saved_weights_come_back_bit_for_bit(path: Path, tmp_path: Path):
 
 
 @pytest.mark.parametrize(
-    ("changed", "stored"),
+    ("changed", "entries"),
     [
         ({"second_color": "detail"}, {"second_color": "detail", "hole_test": "footprint", "stss_weights_version": "4"}),
         (
@@ -52,14 +52,14 @@ def test_saved_weights_come_back_bit_for_bit(path: Path, tmp_path: Path):
         ({"hole_test": "paper"}, {"hole_test": "paper", "second_color": "newest", "stss_weights_version": "3"}),
     ],
 )
-def test_settings_are_in_the_file_and_in_the_identity(path: Path, changed: dict[str, Any], stored: dict[str, str]):
+def test_settings_are_in_the_file_and_in_the_identity(path: Path, changed: dict[str, Any], entries: dict[str, str]):
     save(path, replace(random(1), **changed), {"made by": "test"})
     loaded = load(path)
     assert {name: getattr(loaded.weights, name) for name in changed} == changed
     assert loaded.metadata == {"made by": "test"}
     assert loaded.identity == identity(loaded.weights) != identity(random(1))
     with safe_open(path, "numpy") as file:
-        assert file.metadata() == {"made by": "test", **stored}
+        assert file.metadata() == {"made by": "test", **entries}
 
 
 @pytest.mark.parametrize(("metadata", "message"), [
@@ -84,9 +84,9 @@ def test_identity_stays_what_it_was():
 
 def test_what_is_no_weights_file_is_named(path: Path):
     def refused(message: str, file: Path = path) -> None:
-        with pytest.raises((InputError, WeightsError), match=message) as caught:
+        with pytest.raises((InputError, WeightsError), match=message) as error:
             load(file)
-        assert str(caught.value).startswith(str(file))
+        assert str(error.value).startswith(str(file))
 
     refused("No such file")
     refused("stss weights import", path.with_suffix(".pkl"))
@@ -132,11 +132,11 @@ def test_costs_are_those_of_the_paper():
 
 def test_inspection_says_what_is_left_out(capsys):
     unread = random(1) | {name: w * 0 for name, w in random(1).items() if name.startswith("lowlevelGated.") and w.ndim == 4}
-    for weights, said in ((random(1), False), (unread, True)):
+    for weights, is_told in ((random(1), False), (unread, True)):
         print_inspection(inspect(weights, 540, 960), Console())
         out = " ".join(capsys.readouterr().out.split())
-        assert ("left out, since they are 0 or only kernels of 0 read them: convHis1.0, convHis1.2, " in out) == said
-        assert ("run once, since all their kernels that read a frame are 0: lowlevelGated" in out) == said
+        assert ("left out, since they are 0 or only kernels of 0 read them: convHis1.0, convHis1.2, " in out) == is_told
+        assert ("run once, since all their kernels that read a frame are 0: lowlevelGated" in out) == is_told
         assert "second colour: newest, the newest frame" in out
     reader = "up1.conv.double_conv.2.weight"
     print_inspection(inspect(random(1) | {reader: random(1)[reader] * (np.arange(64) < 32)[:, None, None]}, 540, 960), Console())
@@ -147,11 +147,11 @@ def test_inspection_says_what_is_left_out(capsys):
 
 def test_inspection_counts_what_is_taken_for_0(capsys):
     name = "conv1.conv_feature.weight"
-    made = random(1) | {name: np.where(np.arange(9).reshape(3, 3) < 2, np.float32(1e-36), random(1)[name])}
-    made[name][0, 0, 0, 0] = 1e-40
-    found = inspect(made, 540, 960)
-    assert (found.tiny, found.subnormal) == (24 * 21 * 2, 1)
-    print_inspection(found, Console())
+    weights = random(1) | {name: np.where(np.arange(9).reshape(3, 3) < 2, np.float32(1e-36), random(1)[name])}
+    weights[name][0, 0, 0, 0] = 1e-40
+    inspected = inspect(weights, 540, 960)
+    assert (inspected.tiny, inspected.subnormal) == (24 * 21 * 2, 1)
+    print_inspection(inspected, Console())
     assert "taken for 0: 1008 numbers below 8e-31, of which 1 are subnormal" in " ".join(capsys.readouterr().out.split())
 
 
