@@ -8,13 +8,12 @@ import os
 import platform
 from contextlib import suppress
 from functools import cache
-from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
 import pyopencl as cl
 
-from stss_cl.device.buffers import BFLOAT16, FLAGS, constant, storage, to_bfloat16
+from stss_cl.device.buffers import FLAGS, constant, to_bfloat16
 from stss_cl.device.discovery import Device, Properties
 from stss_cl.device.launch import Kernel
 from stss_cl.device.program import build
@@ -48,11 +47,6 @@ def are_used(device: Device) -> bool:
             with suppress(DeviceError, cl.Error):  # the compiler may not know the instructions
                 _proved[device.context] = product_is_right(device, emulate=False)
     return _proved[device.context]
-
-
-def stored_as(device: Device, dtype: np.dtype[Any]) -> dict[str, object]:
-    """The options of kernels (kernels/common.clh) for activations of this dtype."""
-    return {"STORED": storage(dtype), "CONVERTS": dtype == BFLOAT16 and are_used(device)}
 
 
 def emulated(device: Device) -> str:

@@ -11,8 +11,8 @@ from itertools import pairwise
 import numpy as np
 import pyopencl as cl
 
-from stss_cl.device import amx
 from stss_cl.device.buffers import Inputs, inputs_for
+from stss_cl.device.conversion import stored_as
 from stss_cl.device.discovery import Device
 from stss_cl.device.grid import ceil_div, grid
 from stss_cl.device.launch import Arguments, Kernel, Launch
@@ -123,7 +123,7 @@ class Prepare:
 
     def _make(self, *, marks: bool) -> _Launches:
         inputs, (height, width) = self.inputs, (self.height, self.width)
-        options = {**amx.stored_as(self.device, inputs.input.dtype), **marking(self.device, marks)}
+        options = {**stored_as(self.device, inputs.input.dtype), **marking(self.device, marks)}
         gather = {"GATHER": f"gather_{self._gather}", "LONGEST": self._gather == "longest", "EIGHT_PIXELS": self.device.is_cpu}
         frame_options = {
             **gather,

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from stss_cl.device import amx
 from stss_cl.device.buffers import BFLOAT16, Inputs, Padded, map_bytes, padded
+from stss_cl.device.conversion import stored_as
 from stss_cl.device.discovery import Device
 from stss_cl.device.grid import GROUP, list_size
 from stss_cl.device.launch import Arguments
@@ -108,7 +108,7 @@ class LayerBuilder:
         # Interpolation is not contracted, so that it has the reference's bits.
         flags = FAST if stage == "erm" else ""
         workers = 1 if self._device.is_cpu else workers
-        options = {**source.options, "WORKERS": workers, **amx.stored_as(self._device, self._dtype)}
+        options = {**source.options, "WORKERS": workers, **stored_as(self._device, self._dtype)}
         source = KernelSource(source.file, source.kernel, options, flags)
         group = 1 if self._device.is_cpu else max(GROUP, workers)
         size = list_size(self._device, tiling.most, workers=workers, group=group)

@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: MIT
+"""How activations are stored: as float, half or bfloat16, by instructions of the processor where it has them."""
+
+from __future__ import annotations
+
+import platform
+from contextlib import suppress
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import numpy as np
+import pyopencl as cl
+
+from stss_cl.device import amx
+from stss_cl.device.buffers import FLAGS, constant, storage
+from stss_cl.device.discovery import Device, Properties
+from stss_cl.device.launch import Kernel
+from stss_cl.device.program import build
+from stss_ground.errors import DeviceError
+from stss_ground.machine import cpu_flags
+
+LARGEST = 65504.0
+"""Half's largest number, which stands for all that are larger."""
+_proved: WeakKeyDictionary[cl.Context, bool] = WeakKeyDictionary()
+
+
+def stored_as(device: Device, dtype: np.dtype[Any]) -> dict[str, object]:
+    """The options of kernels (kernels/common.clh) for activations of this dtype."""
+    stored = storage(dtype)
+    converts = (stored == "BFLOAT16" and amx.are_used(device)) or (stored == "HALF" and converts_half(device))
+    return {"STORED": stored, "CONVERTS": converts}
+
+
+def has_instructions(device: Properties) -> bool:
+    """Whether the processor has instructions that convert half (x86-64's F16C), and a compiler that takes them."""
+    return device.is_pocl_processor and platform.machine() == "x86_64" and "f16c" in cpu_flags()
+
+
+def converts_half(device: Device) -> bool:
+    """Whether the processor's own instructions convert half: all were right, tested once for each context."""
+    if not has_instructions(device):
+        return False
+    if device.context not in _proved:
+        _proved[device.context] = False
+        with suppress(DeviceError, cl.Error):  # the compiler may not know the instructions
+            _proved[device.context] = conversions_are_right(device, instructions=True)
+    return _proved[device.context]
+
+
+def conversions_are_right(device: Device, *, instructions: bool) -> bool:
+    """Whether every half, what lies half-way between two or a little beside, and what is too large have the bits that they must have."""
+    halves = np.arange(0x7C00, dtype=np.uint16).view(np.float16).astype(np.float32)
+    ties = (halves[:-1] + halves[1:]) / 2  # exact in float32
+    positive = np.concatenate([halves, ties, np.nextafter(ties, 0), np.nextafter(ties, np.inf), [LARGEST + 16, 1e6, 3e38]])
+    values = np.concatenate([positive, -positive]).astype(np.float32)
+    values = np.pad(values, (0, -values.size % 8))
+    narrowed, widened = np.empty(values.shape, np.uint16), np.empty(values.shape, np.float32)
+    program = build(device, "convert_half.cl", {"STORED": "HALF", "CONVERTS": instructions})
+    results = [cl.Buffer(device.context, FLAGS.READ_WRITE, array.nbytes) for array in (narrowed, widened)]
+    arguments = {"values": constant(device, values), "narrowed": results[0], "widened": results[1]}
+    Kernel(program, "convert_half", arguments).enqueue(device.queue, (values.size // 8,), None)
+    for array, result in zip((narrowed, widened), results, strict=True):
+        cl.enqueue_copy(device.queue, array, result)
+    nearest = np.clip(values, -LARGEST, LARGEST).astype(np.float16)
+    right = (narrowed == nearest.view(np.uint16)) & (widened.view(np.uint32) == nearest.astype(np.float32).view(np.uint32))
+    return bool(right.all())
