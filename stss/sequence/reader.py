@@ -7,6 +7,7 @@ import hashlib
 from collections.abc import Collection, Iterable, Mapping
 from copy import copy
 from dataclasses import dataclass, field, replace
+from itertools import islice
 from pathlib import Path
 from typing import get_args
 
@@ -32,6 +33,8 @@ from stss_ref.arrays import Array, Mask
 
 SURFACE = ("depth", "normal", "position")
 """Buffers without which a pixel shows no surface."""
+LISTED = 24
+"""Most channels that a message lists where they fit no profile."""
 LEAST = 3
 """Fewest buffers by which a profile is found: colour alone has the same names everywhere."""
 MAX_RESIDUAL = 1e-2
@@ -393,6 +396,7 @@ def find_profile(path: Path) -> Profile:
     scores: dict[str, int] = {}
     refusals: list[InputError] = []
     layers: list[InputError] = []
+    channels: dict[str, None] = {}
     for name in profile_names():
         table = load_profile(name)
         try:
@@ -402,6 +406,7 @@ def find_profile(path: Path) -> Profile:
         except InputError as error:
             refusals.append(error)
             continue
+        channels |= dict.fromkeys(name for header in headers.values() for name in header.channels)
         try:
             scores[name] = len(_frame_of(min(files_by_number), headers, table, None, None).sources)
         except InputError as error:
@@ -412,7 +417,9 @@ def find_profile(path: Path) -> Profile:
         raise refusals[0]
     best = [name for name, score in scores.items() if score == max(scores.values())]
     if len(best) > 1 or scores[best[0]] < LEAST:
-        raise InputError(f"{path}: the channels fit no profile alone; say --profile {', '.join(profile_names())} or a TOML file")
+        names = ", ".join(islice(channels, LISTED)) + (", ..." if len(channels) > LISTED else "")
+        known = ", ".join(profile_names())
+        raise InputError(f"{path}: the channels fit no profile alone: {names}; say --profile {known} or a TOML file of your own")
     return load_profile(best[0])
 
 
