@@ -81,7 +81,7 @@ def test_check_and_run_need_neither_profile_nor_camera(write_frames, tmp_path):
 def test_names_that_fit_nothing_are_said(write_frames):
     lr = write_frames(range(2), change=lambda number, channels: {name: channels[name] for name in "RGB"})
     with pytest.raises(
-        InputError, match=r"the channels fit no profile alone: B, G, R; say --profile blender, .* or a TOML file of your own"
+        InputError, match=r"the channels fit no profile alone: R, G, B; say --profile blender, .* or a TOML file of your own"
     ):
         open_sequence(lr)
 
