@@ -7,12 +7,12 @@
 //  bias    in  (16 SIXTEENS)  of the outputs and of the gate
 //
 // Three taps of a row are 3 C values side by side, so 16 pixels x 32 of these values are one tile, whose rows are
-// STRIDE pixels apart. What a row's last step reads beyond them meets weights of 0. An output's sum depends on its own
+// STRIDE pixels apart. Values that a row's last step reads beyond them meet weights of 0. An output's sum depends on its own
 // inputs alone, so tiles may be left out.
 // Build -D STORED=BFLOAT16 -D A -D B -D OUT (multiples of 8; A may be 4) -D STRIDE, optionally -D EMULATE (amx.clh) -D
 // GATED -D RELU -D MARK (change_map.clh).
-// -D IMAGE, where OUT is 24: what would be stored goes through outc and becomes the image; color and what follows as in
-// winograd_image.cl, but outc_weight (2, 16, 16, 2) are tiles like `weight`: bfloat16, and what that rounds off.
+// -D IMAGE, where OUT is 24: the outputs go through outc and become the image; color and what follows as in
+// winograd_image.cl, but outc_weight (2, 16, 16, 2) are tiles like `weight`: bfloat16, and the remainders of that rounding.
 // Launch (any number of work-items), work-groups of 1, over tiles of 32 x 4 pixels (tile_list.clh).
 #if !defined(A) || !defined(B) || !defined(OUT) || !defined(STRIDE)
 #error "conv_amx.cl needs -D A, B, OUT, STRIDE"

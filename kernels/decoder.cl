@@ -5,7 +5,7 @@
 //  buffer   dir  shape           content
 //  feature  in   padded, (24)    up3's result
 //  color    in   (H8, W8, 4)     see decoder.clh, as weight and bias
-//  image    out  (2H, 2W, 3)     what lies beyond 2H, 2W is not written
+//  image    out  (2H, 2W, 3)     pixels beyond 2H, 2W are not written
 //
 // The buffers may hold a strip of the frame: their row 0 is the frame's row `top`; rows `first_row` .. height - 1 are
 // written.

@@ -6,7 +6,7 @@
 //  mask      in   (H, W) of MASK    1 = to be trusted
 //  eighth    out  padded, (16)      both at 1/8 size: gbuffer 9, mask, zeros 6
 //
-// `dirty` (H / 4, W / 4, rounded up to whole eights of pixels): where MARKS(changes), only what has a dirty tile is
+// `dirty` (H / 4, W / 4, rounded up to whole eights of pixels): where MARKS(changes), only pixels with a dirty tile are
 // computed.
 // `height`, `width`: of the frame; `down`, `across`: of `eighth`, whose row 0 is the frame's row `top`.
 // Build -D MASK=float or uchar, optionally -D STORED.  Launch (across, down), or more.

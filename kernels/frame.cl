@@ -3,7 +3,7 @@
 //
 //  buffer           dir     shape             unit
 //  motion0..4       in      (H, W, 2)         px, newest first; as many as the largest step are read
-//  motions          in      (3, H, W, 2)      px, current -> the colour frames, newest first: what chain_steps gave,
+//  motions          in      (3, H, W, 2)      px, current -> the colour frames, newest first: the result of chain_steps,
 //                                             or where it did not run motion0; read if `is_warped`
 //  color            in      (H, W, 3)         of a colour frame
 //  gbuffer          in      (H, W, 9)         normal 3, depth, roughness, metallic, base colour 3
@@ -30,7 +30,7 @@
 // the whole.
 // Build: -D of motion_chain.clh and holes.cl, optionally -D STORED (history and x0), -D STREAM, and -D EIGHT_PIXELS:
 // eight pixels in a row to a work-item, for processors; -D LONGEST where GATHER is gather_longest; -D DETAIL: the
-// second colour is what warped frames show within a pixel;
+// second colour is that of detail.clh;
 // -D RESHADE: stage reshade fills the holes.
 // Order: chain_steps, prepare_older for each older frame where the history is read, prepare_newest, splat_nearest,
 // splat_first (with -D RESHADE find_samples), fill_holes; then downsample_8.cl.

@@ -7,8 +7,8 @@
 //  motion            in      (H, W, 2)  px, current -> earlier; non-finite does not splat
 //  depth             in      (H, W)     normalised, finite
 //  valid             in      (H, W)     1 = warped colour to be trusted
-//  keys              in/out  (H, W)     smallest depth that landed here, as depth_key; UNWANTED: nobody asks
-//  first             in/out  (H, W)     the first pixel of that depth in raster order; NOBODY
+//  keys              in/out  (H, W)     smallest depth that landed here, as depth_key; UNWANTED: no hole reads it
+//  first             in/out  (H, W)     the first pixel of that depth in raster order; NO_PIXEL
 //  occlusion_motion  out     (H, W, 2)  px, current -> earlier
 //  filled            out     (H, W, 3)  as color
 //
@@ -20,7 +20,7 @@ kernel void splat_clear(global uint *restrict keys, global uint *restrict first,
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= width || y >= height) return;
     keys[y * width + x] = depth_key(FARTHEST);
-    first[y * width + x] = NOBODY;
+    first[y * width + x] = NO_PIXEL;
 }
 
 kernel void splat_nearest(global const float2 *restrict motion, global const float *restrict depth,

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT
-// Small tests of what every other kernel assumes of a device; stss/devices/selftest.py has the right results.
+// Small tests of the properties that other kernels assume of a device; stss/devices/selftest.py has the right results.
 //
 //  buffer   dir  shape         meaning
 //  a, b, c  in   (n,)          finite, b not 0, |c| < 80

@@ -6,7 +6,7 @@
 //                                         at a_first, and has one for
 //                                     each of `images`
 //  tiles    out  (count)               the list, in any order
-//  count    out  (1)                   how many; the caller clears it
+//  count    out  (1)                   its length; the caller clears it
 //
 // Tile t of the output, along either axis, reads the pixels step * t - before .. step * (t + 1) + beyond of the inputs.
 // `rows`, `columns`: of tiles, of each image; `span`: tiles of a work-item, at most 64.

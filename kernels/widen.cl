@@ -5,7 +5,7 @@
 //  from    in   (count)   half
 //  to      out  (count)   float
 //
-// Launch ceil(count / 4) work-items or more; a work-item widens four values, of the last one those that there are.
+// Launch ceil(count / 4) work-items or more; a work-item widens four values, the last one the rest.
 kernel void widen(global const half *restrict from, global float *restrict to, const ulong count)
 {
     const ulong first = 4 * get_global_id(0);
