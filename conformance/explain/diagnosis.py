@@ -65,7 +65,7 @@ def diagnose(judge: Judge, findings: Iterable[Finding]) -> str:
     if not failed:
         return ""
     others = [_answered(judge, case, got) for case, got in judge.answered if case.stage == failed[0].case.stage]
-    mistakes, end = _suspects(failed[0].case.stage), process_time() + MOST_SECONDS
+    mistakes, end = suspects(failed[0].case.stage), process_time() + MOST_SECONDS
     matches: list[tuple[float, Mistake]] = []
     for tried, mistake in enumerate(mistakes):
         if process_time() > end or (mistake in RARE and any(each not in RARE for _, each in matches)):
@@ -95,7 +95,7 @@ def _answered(judge: Judge, case: Case, got: Outputs) -> _Answered:
     return _Answered(case, got, {name: expected.closer(got[name]) for name, expected in right.items()})
 
 
-def _suspects(stage: str) -> tuple[Mistake, ...]:
+def suspects(stage: str) -> tuple[Mistake, ...]:
     """Mistakes that large frames show, first, since there all take long; then the stage's own, those of shared code, those of precision."""
     parts = (stage, *CONTAINS.get(stage, ()))
     inside = [mistake for part in parts for mistake in of_stage(part)]
@@ -106,7 +106,8 @@ def _suspects(stage: str) -> tuple[Mistake, ...]:
 
 
 @lru_cache(512)
-def _port(mistake: Mistake) -> Variant:
+def planted_port(mistake: Mistake) -> Variant:
+    """The reference with this mistake."""
     return mistake.port()
 
 
@@ -118,7 +119,7 @@ def _distance(mistake: Mistake, answered: _Answered) -> float:
     """
     case = answered.case
     try:
-        answer = _port(mistake).run(case.stage, case.inputs, case.weights)
+        answer = planted_port(mistake).run(case.stage, case.inputs, case.weights)
     except Exception:
         # Planted code on a stranger's case: what it cannot compute, it does not explain.
         return np.inf

@@ -106,7 +106,7 @@ def verdict(
     """
     if not again and (earlier := find_verdict(name, handle, trial=trial)):
         return earlier
-    limit, path = _limit(), _path(name, handle, trial=trial)
+    limit, path = _limit(), place_of(name, handle, trial=trial)
     with _alone(path.with_suffix(".lock"), lambda: tell(f"waiting for another process, which tests {name}")):
         if not again and (earlier := find_verdict(name, handle, trial=trial)):
             return earlier
@@ -119,7 +119,7 @@ def verdict(
         if again:  # a later trial that failed is run anew when it is asked for
             for later in TRIALS[TRIALS.index(trial) + 1 :]:
                 if (old := _read_verdict(name, handle, later)) and not old.passed:
-                    _path(name, handle, trial=later).unlink(missing_ok=True)
+                    place_of(name, handle, trial=later).unlink(missing_ok=True)
         if new.lasting:
             data = {"device": name, **asdict(new)}
             del data["lasting"]
@@ -139,7 +139,7 @@ def find_verdict(name: str, handle: cl.Device, *, trial: str = REALTIME) -> Verd
 
 def _read_verdict(name: str, handle: cl.Device, trial: str) -> Verdict | None:
     try:
-        path = _path(name, handle, trial=trial)
+        path = place_of(name, handle, trial=trial)
         content = read(path, _MOST_BYTES) or b""
         text = content.partition(b"\n")[2]
         if content != _with_checksum(path, text):
@@ -293,7 +293,8 @@ def _signal(number: int) -> str:
         return f"signal {number}"
 
 
-def _path(name: str, handle: cl.Device, *, trial: str) -> Path:
+def place_of(name: str, handle: cl.Device, *, trial: str) -> Path:
+    """The file of a verdict: of a device, its driver, these sources and settings."""
     settings = {
         k: v
         for k, v in os.environ.items()

@@ -74,7 +74,7 @@ def encode_exr(
     spec.attribute("compression", "zip")
     spec.attribute("DateTime", "")  # else it is the time of writing, and equal pictures would differ in bytes
     data = _encoded(path, ".exr", spec, pixels, metadata)
-    if not _whole_exr(data, pixels.shape[0]):
+    if not is_whole_exr(data, pixels.shape[0]):
         raise _cut_short(path)
     return data
 
@@ -145,7 +145,7 @@ def _memory(suffix: str) -> Generator[str, None, None]:
             os.close(handle)
 
 
-def _whole_exr(data: bytes, height: int) -> bool:
+def is_whole_exr(data: bytes, height: int) -> bool:
     """Whether the table of chunks leads from chunk to chunk up to the last byte of the file."""
     try:
         at = 8  # behind magic number and version

@@ -35,15 +35,15 @@ def home() -> Path:
         folder = Path(named) if Path(named).is_absolute() else _user_home() / ".cache"
         _make(folder)
         folder = folder.resolve(strict=True)
-        return folder if _serves(folder) else _temporary()
+        return folder if _serves(folder) else temporary_folder()
     except (OSError, RuntimeError):  # RuntimeError: no home, or links in a circle
-        return _temporary()
+        return temporary_folder()
 
 
 def is_temporary() -> bool:
     """Whether compiled kernels are lost when the process ends, since no cache home can be written to."""
     where = home()
-    return bool(_temporary.cache_info().currsize) and where == _temporary()
+    return bool(temporary_folder.cache_info().currsize) and where == temporary_folder()
 
 
 def private(*parts: str) -> Path:
@@ -198,7 +198,8 @@ def _refuse_others(folder: Path) -> None:
 
 
 @lru_cache(1)
-def _temporary() -> Path:
+def temporary_folder() -> Path:
+    """A folder for this process alone, for when the cache home cannot be used; DeviceError if there is none either."""
     try:
         folder = Path(tempfile.mkdtemp(prefix="stss-"))
     except OSError:

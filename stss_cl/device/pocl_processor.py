@@ -28,7 +28,7 @@ KNOWN = (("icelake-client", ICE_LAKE), ("skylake-avx512", AVX512), ("haswell", A
 RECORD = 2048
 """Bytes of a device's record in which the name is looked for; in PoCL 3.0 it is at 640."""
 
-_named: dict[int, ctypes.Array[ctypes.c_char]] = {}
+given_names: dict[int, ctypes.Array[ctypes.c_char]] = {}
 """The name given, by the address of the device's record; it must live as long as the process."""
 
 
@@ -41,19 +41,19 @@ def substitute() -> str:
 
 def name_processor(handle: cl.Device) -> None:
     """Have PoCL compile for ``substitute()`` if its compiler does not know the processor; else nothing changes."""
-    if not handle.version.rstrip().endswith(f"-{UNKNOWN}") or not substitute() or handle.int_ptr in _named:
+    if not handle.version.rstrip().endswith(f"-{UNKNOWN}") or not substitute() or handle.int_ptr in given_names:
         return
     for place in range(handle.int_ptr, handle.int_ptr + RECORD, 8):
-        pointer = int.from_bytes(_read(place, 8), "little")
-        if pointer and _read(pointer, len(UNKNOWN) + 1) == UNKNOWN.encode() + b"\0":
-            _named[handle.int_ptr] = name = ctypes.create_string_buffer(substitute().encode())
+        pointer = int.from_bytes(read_memory(place, 8), "little")
+        if pointer and read_memory(pointer, len(UNKNOWN) + 1) == UNKNOWN.encode() + b"\0":
+            given_names[handle.int_ptr] = name = ctypes.create_string_buffer(substitute().encode())
             ctypes.c_void_p.from_address(place).value = ctypes.addressof(name)
             return
 
 
 def given_name(handle: cl.Device) -> str:
     """The name that the processor was given; "" if it has its own."""
-    name = _named.get(getattr(handle, "int_ptr", 0))
+    name = given_names.get(getattr(handle, "int_ptr", 0))
     return name.value.decode() if name else ""
 
 
@@ -61,7 +61,7 @@ class _Piece(ctypes.Structure):
     _fields_ = (("start", ctypes.c_void_p), ("size", ctypes.c_size_t))
 
 
-def _read(address: int, size: int) -> bytes:
+def read_memory(address: int, size: int) -> bytes:
     """Memory of this process through the system, which refuses a wrong address: then it is empty."""
     buffer = ctypes.create_string_buffer(size)
     pieces = (ctypes.byref(_Piece(where, size)) for where in (ctypes.addressof(buffer), address))

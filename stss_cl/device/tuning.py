@@ -139,7 +139,7 @@ def read_tuning(device: Properties) -> Tuning | None:
     Raises:
         DeviceError: it is wrong.
     """
-    return _stored_row(device.name, device.driver, device.device_class)
+    return stored_row(device.name, device.driver, device.device_class)
 
 
 def store(device: Properties, tuning: Tuning | None) -> Path:
@@ -154,7 +154,7 @@ def store(device: Properties, tuning: Tuning | None) -> Path:
         beside = path.with_suffix(f".{os.getpid()}")
         beside.write_text(text + to_toml(tuning), encoding="utf-8")
         beside.replace(path)
-    _stored_row.cache_clear()
+    stored_row.cache_clear()
     return path
 
 
@@ -194,7 +194,8 @@ def _built_in(maker: str, device_class: DeviceClass, target: str) -> Tuning:
 
 
 @lru_cache(64)
-def _stored_row(name: str, driver: str, device_class: DeviceClass) -> Tuning | None:
+def stored_row(name: str, driver: str, device_class: DeviceClass) -> Tuning | None:
+    """The row that was stored for a device; None: there is none."""
     path = _path(name, driver, device_class)
     if not path.exists():
         return None

@@ -199,7 +199,7 @@ def _run(step: Step, log: Path, device: str) -> StepResult:
     return StepResult(step.name, outcome, round(time.monotonic() - start, 1), lines[-1] if lines else "")
 
 
-def _slower(path: Path) -> list[str]:
+def find_slower(path: Path) -> list[str]:
     """Of the benchmark's JSON: contenders that failed, and peers of the same precision that are faster than the network."""
     if not path.exists():
         return []
@@ -231,7 +231,7 @@ def _write(folder: Path, machine: dict[str, str], outcomes: Sequence[StepResult]
             for each in outcomes
             if each.outcome not in ("passed", "skipped")
         ),
-        *_slower(folder / "bench.json"),
+        *find_slower(folder / "bench.json"),
     ]
     parts = [
         f"# {machine['device']}\n",

@@ -160,7 +160,7 @@ class _Worker:
         self._fault: str | None = None
         context = multiprocessing.get_context("spawn")  # a fork would share the threads' locks but not the threads
         self._pipe, self._other_end = context.Pipe()
-        self._process = context.Process(target=_serve, args=(self._other_end, name, setup), daemon=True)
+        self._process = context.Process(target=serve, args=(self._other_end, name, setup), daemon=True)
 
     def start(self, want: Image) -> None:
         """Start the process, wait until the contender is ready and warm, and compare its image with ``want``."""
@@ -220,7 +220,7 @@ def _error(image: Image, want: Image) -> float:
     return error if error == error else float("inf")  # noqa: PLR0124  (NaN)
 
 
-def _serve(pipe: Connection, name: str, setup: Setup) -> None:
+def serve(pipe: Connection, name: str, setup: Setup) -> None:
     """Run in the contender's process: make the contender, then answer each order with ``(True, result)`` or ``(False, reason)``."""
     try:
         engine = contender(name, setup)

@@ -186,10 +186,11 @@ def measure(setup: Setup, scene: str, settings: Sequence[ComputeOptions], count:
     size, device = (setup.height, setup.width), open_device(setup.device)
     frames = list(display_frames(SCENES[scene], size, count))
     judged = {n: (_reference(frames, n, setup.weights), truth(SCENES[scene], size, n)) for n in range(count - JUDGED, count)}
-    return [_point(setting, setup.weights, device, frames, judged) for setting in settings]
+    return [compare_setting(setting, setup.weights, device, frames, judged) for setting in settings]
 
 
-def _window(frames: Sequence[DisplayFrame], number: int) -> tuple[Sequence[DisplayFrame], tuple[int, int, int]]:
+def window_and_steps(frames: Sequence[DisplayFrame], number: int) -> tuple[Sequence[DisplayFrame], tuple[int, int, int]]:
+    """The window of a display frame, and the steps of its schedule."""
     window = window_at(frames, number)
     planned = plan(window)
     assert planned is not None  # frame 0 is rendered
@@ -197,26 +198,27 @@ def _window(frames: Sequence[DisplayFrame], number: int) -> tuple[Sequence[Displ
 
 
 def _reference(frames: Sequence[DisplayFrame], number: int, weights: Weights) -> Image:
-    inputs = frame_inputs(*_window(frames, number))
+    inputs = frame_inputs(*window_and_steps(frames, number))
     arrays: dict[str, Array] = {name: value for name, value in vars(inputs).items() if name != "steps"}
     exact = {name: value.astype(np.float64) for name, value in arrays.items()}
     return frame(FrameInputs(**exact, steps=inputs.steps), astype(weights, np.float64))[0]
 
 
-def _point(
+def compare_setting(
     setting: ComputeOptions,
     weights: Weights,
     device: Device,
     frames: Sequence[DisplayFrame],
     judged: dict[int, tuple[Image, Image]],
 ) -> Point:
+    """Run a setting beside the streams that it is compared with; ``judged``: number -> the reference's image, and the scene's."""
     tried = Stream(weights, device, setting.precision, skip=setting.skip)
     off = Stream(weights, device, setting.precision, skip="off")
     streams = [tried, off] if setting.precision == FULL else [tried, off, Stream(weights, device, FULL, skip="off")]
     times = [list[float]() for _ in streams]
     errors, scores, departures, same = [0.0], list[float](), [0.0], True
     for number in range(len(frames)):
-        window, steps = _window(frames, number)
+        window, steps = window_and_steps(frames, number)
         images: list[Image] = []
         for stream, seconds in zip(streams, times, strict=True):
             start = time.perf_counter()

@@ -33,9 +33,9 @@ print("computed", os.environ.get("POCL_CACHE_DIR"))
 @pytest.fixture(autouse=True)
 def cache_home(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    caches._temporary.cache_clear()
+    caches.temporary_folder.cache_clear()
     yield tmp_path / "cache"
-    caches._temporary.cache_clear()
+    caches.temporary_folder.cache_clear()
 
 
 @pytest.fixture
@@ -241,7 +241,7 @@ def test_a_full_disk_is_left_alone(monkeypatch):
     room, home, disk = namedtuple("usage", "free"), caches.home(), shutil.disk_usage
     monkeypatch.setattr(shutil, "disk_usage", lambda path: room(1 << 20) if path == home else disk(path))
     assert caches.is_temporary()
-    caches._temporary.cache_clear()
+    caches.temporary_folder.cache_clear()
     monkeypatch.setattr(shutil, "disk_usage", lambda path: room(1 << 20))
     with pytest.raises(DeviceError, match=r"^kernel cache: expected 32 MiB free, and .* execution, in the cache home or in /"):
         caches.private("pocl")

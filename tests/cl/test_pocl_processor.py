@@ -21,7 +21,7 @@ def machine(monkeypatch):
     def make(flags, name="generic", place=640):
         monkeypatch.setattr(pocl_processor, "cpu_flags", lambda: frozenset(flags))
         monkeypatch.setattr(pocl_processor.sys, "platform", "linux")
-        monkeypatch.setattr(pocl_processor, "_named", {})
+        monkeypatch.setattr(pocl_processor, "given_names", {})
         substitute.cache_clear()
         own, other, record = (
             ctypes.create_string_buffer(name.encode()),
@@ -79,7 +79,7 @@ def test_processors_alone_get_prefetches(kind, takes):
 
 
 def test_memory_that_is_not_there_is_no_fault():
-    assert pocl_processor._read(8, 8) == b""
+    assert pocl_processor.read_memory(8, 8) == b""
 
 
 def test_this_processor_is_one_for_which_kernels_build():

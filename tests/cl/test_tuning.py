@@ -32,9 +32,9 @@ from stss_lab.tune.tile_timing import INTEL, SHAPES, Trials, direct_candidates, 
 @pytest.fixture(autouse=True)
 def own_cache(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    tuning._stored_row.cache_clear()
+    tuning.stored_row.cache_clear()
     yield
-    tuning._stored_row.cache_clear()
+    tuning.stored_row.cache_clear()
 
 
 def fake(name="P: one", *, is_cpu=True, driver="1", target=""):
@@ -84,7 +84,7 @@ def test_what_is_kept_comes_back(row, monkeypatch):
         assert tuning_for(other) == built_in(other)
     with monkeypatch.context() as patch:
         patch.setattr(tuning, "_kernels", lambda: ("changed",))
-        tuning._stored_row.cache_clear()
+        tuning.stored_row.cache_clear()
         assert read_tuning(device) is None
     store(device, None)
     assert tuning_for(device) == before

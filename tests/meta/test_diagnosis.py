@@ -82,7 +82,7 @@ def test_nothing_is_named_that_does_not_fit():
 
 
 def test_no_mistakes_to_compare_with_are_said_in_words(monkeypatch):
-    monkeypatch.setattr("conformance.explain.diagnosis._shown_by", lambda stage: ())
+    monkeypatch.setattr("conformance.explain.diagnosis.suspects", lambda stage: ())
     assert explain(Odd(), "warp") == "no mistake of this stage is known that it could look like"
 
 
@@ -157,7 +157,7 @@ def test_a_failure_outlives_its_explanation(part, monkeypatch, tmp_path):
 def test_a_mistake_that_raises_explains_nothing(monkeypatch):
     mistake = find("warp_x_sign")
     monkeypatch.setattr("conformance.explain.diagnosis.of_stage", lambda *_, **__: (mistake,))
-    monkeypatch.setattr("conformance.explain.diagnosis._port", fail)
+    monkeypatch.setattr("conformance.explain.diagnosis.planted_port", fail)
     assert "looks like none of the" in explain(mistake.port(), "warp")
 
 

@@ -113,10 +113,10 @@ def test_every_chain_writes_frames_and_scores(tmp_path, monkeypatch):
     assert np.abs(between[1] - (lanczos[0] + lanczos[2]) / 2).max() < 4e-3
     chain = run.Chain("rife+nsrr", {}, dict(enumerate(frames)).get)
     prepared = NetworkInputs(*(np.zeros((*frames[0].shape[:2], 6), np.float32) for _ in range(4)))
-    assert np.allclose(chain._make_small(1, prepared), (frames[0] + frames[2]) / 2, atol=1e-6)
+    assert np.allclose(chain.make_small(1, prepared), (frames[0] + frames[2]) / 2, atol=1e-6)
     assert chain.small == [pytest.approx(-10 * np.log10(np.mean(((frames[0] + frames[2]) / 2 - frames[1]) ** 2)), abs=1e-4)]
     with pytest.raises(InputError, match="needs frames 1 and 3"):
-        chain._make_small(2, prepared)
+        chain.make_small(2, prepared)
     for words, message in (
         (["--methods", "nsrr"], "--nsrr: expected its weights"),
         (["--methods", "wgsl"], "--wgsl: expected where it was fetched to"),

@@ -195,7 +195,7 @@ def test_bfloat16_on_the_cpu_trains_too(data):
 @pytest.mark.filterwarnings("ignore::DeprecationWarning:torch")
 def test_a_compiled_step_is_the_step(data, monkeypatch):
     """Captured whole as one graph, and the same loss and gradients; what C++ compiler there is does not matter here."""
-    monkeypatch.setattr("training.step._compiled", lambda: torch.compile(objective, backend="eager", fullgraph=True))
+    monkeypatch.setattr("training.step.compiled_objective", lambda: torch.compile(objective, backend="eager", fullgraph=True))
     settings = Settings(crop=16, batch=2, rate=1e-3, warm_up=1, seed=0, half=False)
     batch = tensors(Batches(load_shards(data), side=16, batch=2, seed=0)[0], torch.device("cpu"))
     aims = Aims(squares=0.5, similar=(90.0, 30.0), extrapolated=0.6, holes=2.0)

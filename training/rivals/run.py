@@ -106,11 +106,12 @@ class Chain:
         if self._theirs is not None and not rendered:
             small = self._judged(number, self._theirs(window, steps))
         else:
-            small = prepared.color[..., :3] if rendered else self._make_small(number, prepared)
+            small = prepared.color[..., :3] if rendered else self.make_small(number, prepared)
         alone = self.method in ("extranet", "authors")
         return upsample_centres(small) if alone else self._supersample(number, small, rendered=rendered), valid
 
-    def _make_small(self, number: int, prepared: NetworkInputs) -> Image:
+    def make_small(self, number: int, prepared: NetworkInputs) -> Image:
+        """An EF at the small size."""
         (before, after), small = map(self._rendered, (number - 1, number + 1)), prepared.color[..., :3]
         if self.method.startswith("extranet"):
             small = self._extrapolate(prepared)

@@ -215,7 +215,7 @@ def test_lossy_compression(write_frames, monkeypatch):
             super().attribute(name, *(("dwaa",) if name == "compression" else value))
 
     monkeypatch.setattr(images.oiio, "ImageSpec", Lossy)
-    monkeypatch.setattr(images, "_whole_exr", lambda data, rows: True)  # which knows our own compression
+    monkeypatch.setattr(images, "is_whole_exr", lambda data, rows: True)  # which knows our own compression
     folder = write_frames([1, 2])
     monkeypatch.undo()
     (text,) = (t for t in texts(check(folder, SequenceOptions("stss")), "warning") if "compression" in t)

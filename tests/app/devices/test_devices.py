@@ -271,7 +271,7 @@ def test_an_edited_verdict_is_ignored(edit):
     path.write_bytes(before)
     assert find_verdict("A: cpu", handle).why == "x"
     newer = fake("A", "cpu", driver="2")
-    path.rename(verdicts._path("A: cpu", newer, trial=REALTIME))
+    path.rename(verdicts.place_of("A: cpu", newer, trial=REALTIME))
     assert find_verdict("A: cpu", newer) is None
 
 

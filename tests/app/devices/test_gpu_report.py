@@ -70,4 +70,4 @@ def test_faster_peers_are_listed(tmp_path: Path):
 
     rows = [row("cl", False, "float32", 2.0), row("quicker", True, "float32", 1.0), row("other", True, "float16", 1.0)]
     (tmp_path / "bench.json").write_text(json.dumps({"sizes": [{"rows": rows}]}))
-    assert gpu_report._slower(tmp_path / "bench.json") == ["quicker takes 1.00 ms, cl 2.00 ms"]
+    assert gpu_report.find_slower(tmp_path / "bench.json") == ["quicker takes 1.00 ms, cl 2.00 ms"]

@@ -151,7 +151,7 @@ def test_the_time_of_a_run_is_that_of_one_of_its_frames(monkeypatch):
         frames=100, details={}, prepare=lambda inputs: None, run=lambda: time.sleep(0.1), image=lambda: np.zeros(1)
     )
     monkeypatch.setattr(measure, "contender", lambda name, setup: engine)
-    measure._serve(pipe, "cl-stream", setup())
+    measure.serve(pipe, "cl-stream", setup())
     wall, used = messages[1][1]
     assert 0.001 <= wall < 0.05
     assert used < 0.5 * wall  # it sleeps: processor time is its own

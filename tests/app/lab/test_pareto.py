@@ -63,9 +63,9 @@ def test_a_share_is_of_the_same_precision(monkeypatch):
             return self.image, None
 
     monkeypatch.setattr(pareto, "Stream", Counted)
-    monkeypatch.setattr(pareto, "_window", lambda frames, number: (None, None))
+    monkeypatch.setattr(pareto, "window_and_steps", lambda frames, number: (None, None))
     monkeypatch.setattr(pareto.time, "perf_counter", lambda: clock[0])
     frames, judged = [None] * 10, {9: (np.zeros((2, 2, 3)), np.ones((2, 2, 3)))}
     for precision, skip, share in (("half", "exact", 0.25), ("half", "off", 1)):
-        point = pareto._point(ComputeOptions(precision=precision, skip=skip), None, None, frames, judged)
+        point = pareto.compare_setting(ComputeOptions(precision=precision, skip=skip), None, None, frames, judged)
         assert (point.share, point.exact, point.departure) == (share, False, 4)
