@@ -52,6 +52,7 @@ def test_without_a_residual_a_still_frame_is_upsampled(judge: Judge, case: tuple
     still = weights.convert(lambda tensor: tensor * 0)
     same = {**inputs, "positions": np.zeros_like(inputs["positions"])}
     same["stencils"] = np.zeros_like(inputs["stencils"])
+    same["normals"] = np.broadcast_to([0.0, 0.0, 1.0], inputs["normals"].shape)
     frames = [{**same, "steps": np.array(steps, np.int32)} for steps in ((0, 0, 0), (1, 1, 1))]
     frames[1]["motions"] = np.zeros((1, *inputs["motions"].shape[1:]))
     rendered, extrapolated = yield [ask("frame", f, still) for f in frames]

@@ -6,7 +6,10 @@ from functools import cache
 import numpy as np
 import pytest
 
+from conformance.judging.judge import Judge, Tier
 from conformance.protocol.stages import STAGES, check_inputs, check_outputs, reference
+from conformance.suite.run_suite import SUITE, run_suite
+from stss.port import ReferencePort
 from stss_lab.stress.inputs import exact
 from tests.meta import right_ports as others
 from tests.meta.samples import departs, samples, weights_of
@@ -66,6 +69,14 @@ def test_each_is_near_the_reference(name, stage):
         assert not departs(got, truth, ROWS[judged.dtype])
         different |= departs(got, rounded, None)
     assert different == (stage in DIFFERENT[name])
+
+
+@pytest.mark.parametrize("stage", sorted({*SUITE} - {"rrm"}))
+def test_what_needs_no_reference_holds_for_it(stage):
+    """Whole frames as often as in the quick tier. Comparisons with the reference have other tests, and ``make alarms``."""
+    judge = Judge(ReferencePort(), Tier("some", 24, 24 if stage in ("frame", "sequence") else 6, 0), shrink=False)
+    results = run_suite(judge, [stage], only="not agree and not kept_by and not wide and not thresholds and not round")
+    assert not [f"{result.id}: {result.message}" for result in results if result.outcome != "passed"]
 
 
 def test_a_fused_sum_rounds_once():
