@@ -312,7 +312,9 @@ def _guesses(motion: Array, reversed_rows: Array, size: tuple[int, int], *, mirr
         "": 1.0,
         'in NDC, where 2 is the frame\'s side (unit = "ndc")': sides / 2,
         'in UV, where 1 is the frame\'s side (unit = "uv")': sides,
-        "twice too long: in pixels of the output, or over two frames": 0.5,
+        'in pixels, and taken for UV (unit = "pixels")': 1 / sides,
+        'in pixels, and taken for NDC (unit = "pixels")': 2 / sides,
+        "twice too long: in pixels of the output, over two frames, or in NDC and taken for UV": 0.5,
         "half too long": 2.0,
     }
     signs = {"": (1, 1), "from the frame before to this one": (-1, -1), "with y up": (1, -1), "with x to the left": (-1, 1)}

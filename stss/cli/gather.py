@@ -16,9 +16,6 @@ from stss_ground.option_kinds import ReadPath, WrittenFolder
 from stss_ground.progress import track
 from stss_ground.terminal import Terminal, echo
 
-LISTED = 8
-"""Most frame numbers that a line lists."""
-
 
 @click.command(cls=Subcommand)
 @click.argument("parts", type=ReadPath())
@@ -32,11 +29,10 @@ def gather(parts: Path, out: Path, sequence: Path | None, frames: tuple[int, int
     Ends with status 1 where a frame is missing.
     """
     bar = partial(track, console=Terminal(stderr=True), unit="parts")
-    found = gather_parts(parts, out, sequence, frames=frames, overwrite=overwrite, track=bar)
-    echo(f"{out}: {found.frames} frames, gathered from {found.parts} part{'s' * (found.parts != 1)}")
-    if found.missing:
-        listed = ", ".join(map(str, found.missing[:LISTED])) + f", ... ({len(found.missing)} in all)" * (
-            len(found.missing) > LISTED
-        )
+    result = gather_parts(parts, out, sequence, frames=frames, overwrite=overwrite, track=bar)
+    echo(f"{out}: {result.frames} frames, gathered from {result.parts} part{'s' * (result.parts != 1)}")
+    if result.missing:
+        more = f", ... ({result.missing} in all)" if result.missing > len(result.first_missing) else ""
+        listed = ", ".join(map(str, result.first_missing)) + more
         echo(f"missing: frames {listed}: in no part and not in {out}; run their task again, then gather once more", err=True)
-    sys.exit(1 if found.missing else 0)
+    sys.exit(1 if result.missing else 0)

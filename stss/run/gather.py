@@ -8,6 +8,7 @@ import os
 import re
 from collections.abc import Generator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from itertools import chain, islice, pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -26,18 +27,24 @@ _LINE = re.compile(r"([0-9a-f]{64})  ([^/]+)/(.+)")
 _FRAME = re.compile(r"frame\.(-?\d+)\.\w+")
 
 
+LISTED = 8
+"""Most frames that are listed as missing."""
+
+
 class Gathered(NamedTuple):
     """The content of a folder after its parts were gathered.
 
     Attributes:
         parts: how many there were.
         frames: how many frames the folder has.
-        missing: the frames that it should have and has not.
+        missing: how many it should have and has not.
+        first_missing: the first `LISTED` of these.
     """
 
     parts: int
     frames: int
-    missing: tuple[int, ...]
+    missing: int
+    first_missing: tuple[int, ...]
 
 
 def gather(
@@ -101,7 +108,9 @@ def gather(
         parts.rmdir()
     there = {int(match[1]) for name in target.sums() if (match := _FRAME.fullmatch(name))}
     first, last = frames or (min(there, default=0), max(there, default=-1))
-    return Gathered(len(folders), len(there), tuple(n for n in range(first, last + 1) if n not in there))
+    shown = sorted(number for number in there if first <= number <= last)
+    gaps = (range(a + 1, b) for a, b in pairwise([first - 1, *shown, last + 1]))  # lazily: numbers may lie far apart
+    return Gathered(len(folders), len(there), last - first + 1 - len(shown), tuple(islice(chain.from_iterable(gaps), LISTED)))
 
 
 def _parts_in(parts: Path) -> list[Path]:

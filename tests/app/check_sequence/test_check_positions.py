@@ -107,6 +107,14 @@ def test_sound_frames(findings_of, change):
         ((of_motion(lambda m: m + 0.5), encoded), ("motion: seems to be half a pixel too far to the lower right", ENCODED)),
         ((of_motion(lambda m: m * 2 / SIZE[1], lambda m: -m * 2 / SIZE[0]),), (f"{NDC}, with y up",)),
         ((of_motion(lambda m: m / SIZE[1], lambda m: m / SIZE[0]),), ("motion: seems to be in UV, where 1 is the frame's side",)),
+        (
+            (of_motion(lambda m: m * SIZE[1], lambda m: -m * SIZE[0]),),
+            ("motion: seems to be in pixels, and taken for UV", ", with y up"),
+        ),
+        (
+            (of_motion(lambda m: m * SIZE[1] / 2, lambda m: m * SIZE[0] / 2),),
+            ("motion: seems to be in pixels, and taken for NDC",),
+        ),
         ((of_motion(lambda m: m * 2),), ("motion: seems to be twice too long",)),
         ((of_motion(lambda m: m * 0),), ("motion: seems to be 0, though the camera moves",)),
         ((of_motion(lambda m: -m), of_depth(lambda z: 20 / z)), ("motion: seems to be from the frame before", FALLS)),

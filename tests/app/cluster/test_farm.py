@@ -109,7 +109,7 @@ def test_parts_make_what_one_run_makes(parts, frames, tmp_path):
     out = tmp_path / "out"
     moved = [(parts / "0" / name) for name in ("frame.0000.exr", "holes/frame.0001.png")]
     whole = files(parts / "0")
-    assert gather(parts, out, frames) == (2, 8, ())
+    assert gather(parts, out, frames) == (2, 8, 0, ())
     assert files(out) == files(tmp_path / "one")
     assert not parts.exists()
     for name, data in whole.items():
@@ -152,7 +152,14 @@ def test_a_task_that_never_ran_is_named(parts, frames, tmp_path, missing_task, t
 def test_gaps_are_named_without_a_range(frames, tmp_path):
     for name, numbers in (("0", (0, 1)), ("1", (6, 7))):
         plain(frames, tmp_path / "parts" / name, numbers)
-    assert gather(tmp_path / "parts", tmp_path / "out", frames).missing == (2, 3, 4, 5)
+    assert gather(tmp_path / "parts", tmp_path / "out", frames) == (2, 4, 4, (2, 3, 4, 5))
+
+
+def test_a_gap_between_frames_is_never_walked(frames, tmp_path):
+    plain(frames, tmp_path / "parts" / "0", (0, 1))
+    found = gather(tmp_path / "parts", tmp_path / "out", frames, frames=(-(10**9) + 1, 10**9 - 1))
+    assert found[1:3] == (2, 2 * 10**9 - 3)
+    assert found.first_missing == tuple(range(-(10**9) + 1, -(10**9) + 9))
 
 
 def write(path):
