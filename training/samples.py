@@ -164,7 +164,7 @@ def film_samples(film: Film, size: tuple[int, int], hole_fill: HoleFill) -> Iter
     return samples(frames, truths, hole_fill)
 
 
-def sequence_samples(low: Path, high: Path, profile: str, camera: Path | None, hole_fill: HoleFill) -> Iterator[Sample]:
+def sequence_samples(low: Path, high: Path, profile: str | None, camera: Path | None, hole_fill: HoleFill) -> Iterator[Sample]:
     """The samples of a renderer's sequence: frames that have a truth, within runs of consecutive frames."""
     sequence, curve = open_sequence(low, profile, camera=camera), transfer("srgb")
     truths = number_files(high)
@@ -268,7 +268,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     parser.add_argument("--hole-fill", choices=HOLE_FILLS, default=HOLE_FILLS[0], help="the stage that fills the holes")
     parser.add_argument("--sequence", nargs=2, type=Path, metavar=("LR", "HR"), help="frames of a renderer and their truth")
-    parser.add_argument("--profile", default="blender")
+    parser.add_argument("--profile", help="the renderer's conventions; default: what the channels' names fit")
     parser.add_argument("--camera", type=Path)
     parser.add_argument("--name", help="of the shard; default: that of the folder above LR")
     parser.add_argument("--scene", help="sequences of one scene go into one split; default: the name")

@@ -20,14 +20,18 @@ from stss_ref.weights import SECOND_COLORS, SecondColor, Weights
 SIZE = 17, 23
 STENCILS = 0.0, 1.0, 255.0, 256.0, 257.0, 2048.0, 2049.0, 65536.0
 """Numbers of objects: 256 is 0 in 8 bits, 65536 in 16; half precision holds no 2049."""
+LOST = 0.05
+"""The share of pixels whose motion is not finite."""
 MORE_MOTIONS = 3
 """Motions behind those that the steps need."""
 
 
 def _motion(rng: Generator, size: Size) -> NDArray[np.float64]:
-    """(H, W, 2) motion, half of it still: as often by -0 as by 0."""
+    """(H, W, 2) motion, half of it still, as often by -0 as by 0, and some of it lost."""
     still = rng.choice([0.0, -0.0], (*size, 2))
-    return np.where(rng.random((*size, 1)) < 0.5, still, rng.integers(-6, 7, (*size, 2)) / 4)
+    motion = np.where(rng.random((*size, 1)) < 0.5, still, rng.integers(-6, 7, (*size, 2)) / 4)
+    motion[rng.random(size) < LOST, rng.integers(2)] = rng.choice([np.nan, np.inf, -np.inf])
+    return motion
 
 
 def _stencils(rng: Generator, size: Size) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -64,7 +68,7 @@ def _occlusion_warp(rng: Generator) -> Inputs:
 
 
 def _reshade(rng: Generator) -> Inputs:
-    """Motion of -0, and numbers of objects that 8 or 16 bits confuse; all lies at one place."""
+    """Motion of -0, lost motion, and numbers of objects that 8 or 16 bits confuse; all lies at one place."""
     previous, now = _stencils(rng, SIZE)
     color, warped = rng.random((2, *SIZE, 3))
     up, none = np.broadcast_to([0.0, 0.0, 1.0], (*SIZE, 3)), np.zeros((*SIZE, 3))

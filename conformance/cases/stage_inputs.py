@@ -20,6 +20,10 @@ from stss_ref.weights import SECOND_COLORS, TENSORS, SecondColor, Weights, rando
 Inputs = dict[str, NDArray[Any]]
 PAPER = st.sampled_from([0, 0, 0, 1, -1, 2, 255]).map(lambda paper: np.array([paper], np.int32))
 """Stage holes' input that asks for the paper's test: any number but 0 does."""
+CHANNELS = 1, 2, 3, 4, 5, 8, 17, 33
+"""Of what is warped: beyond a texture's four, and beyond the sizes that a port may have reserved."""
+STEPS = 1, 2, 3, 4, 5, 9, 17
+"""Of a chain: the pipeline has up to five, the stage any."""
 WEIGHT_KINDS = ("random", "sparse", "large", "small keys", "faint keys")
 
 
@@ -31,9 +35,9 @@ def multiples(largest: int = 24) -> st.SearchStrategy[Size]:
 
 @st.composite
 def chain_inputs(draw: st.DrawFn, largest: int = 16) -> Inputs:
-    """Stage motion_chain: one to five motions of the same or of different kinds."""
+    """Stage motion_chain: motions of the same or of different kinds."""
     size = draw(sizes(largest))
-    count = draw(st.integers(1, 5))
+    count = draw(st.sampled_from(STEPS))
     if draw(st.booleans()):
         # Short steps, none of them 0, stay in the frame, so that the chain runs to its end.
         rng = np.random.default_rng(draw(SEEDS))
@@ -56,7 +60,7 @@ def warp_inputs(draw: st.DrawFn, largest: int = 16, color: str = "any", motion: 
     """Stage warp."""
     size = draw(sizes(largest))
     moved = draw(motions(size, broken=True) if motion == "any" else dyadic_motions(size, motion))
-    return {"color": draw(colors(size, draw(st.integers(1, 5)), color)), "motion": moved}
+    return {"color": draw(colors(size, draw(st.sampled_from(CHANNELS)), color)), "motion": moved}
 
 
 @st.composite

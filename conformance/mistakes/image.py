@@ -123,6 +123,7 @@ MOTION_CHAIN = (
     _steps(
         "newest_throughout", "reads the newest motion throughout", lambda motions: np.broadcast_to(motions[:1], motions.shape)
     ),
+    _steps("five_steps", "up to five steps", lambda motions: motions[:5]),
     _steps("oldest_first", "takes the motions as oldest first", lambda motions: motions[::-1]),
     _chain("border_clamped", "the nearest pixel outside the frame, not 0", put("motion_chain.read_motion", _clamped)),
     _chain("rows_of_height", "H for W: a row of H pixels", change_arguments("motion_chain.read_motion", motion=_rows_of_height)),
@@ -245,6 +246,7 @@ WARP = (
     _fractions("texture_fraction", "a texture sampler, whose fraction has 8 bits", lambda t: np.floor(t * 256) / 256, FILL),
     _image("border_black", "0 outside the frame", lambda warped, inside: warped * inside[..., None]),
     _image("four_channels", "channels from the fifth on stay 0", lambda image, _: image * (np.arange(image.shape[-1]) < 4)),
+    _image("sixteen_channels", "channels from the 17th on stay 0", lambda image, _: image * (np.arange(image.shape[-1]) < 16)),
     _image(
         "tail_of_row",
         "the last pixels of a row stay 0 where W is no multiple of 4",

@@ -85,6 +85,11 @@ RESHADE = (
     _takes("position_of_now", "this frame's positions for the earlier ones", position_previous=lambda _, position: position),
     _takes("objects_ignored", "one object", stencil=np.zeros_like, stencil_previous=np.zeros_like),
     _takes("backwards", "follows the motion backwards", motion=np.negative),
+    _takes(
+        "lost_at_its_place",
+        "non-finite motion counts as 0",
+        motion=lambda motion: np.where(np.isfinite(motion).all(axis=-1)[..., None], motion, 0),
+    ),
     _takes("half_pixel", "pixel centres at halves", motion=lambda motion: motion - 0.5),
     _samples("one_sample", "looks at one of four", lambda four: four[:1]),
     _samples("three_samples", "looks at three of four", lambda four: four[:3]),

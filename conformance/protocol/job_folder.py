@@ -14,6 +14,7 @@ import re
 import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
 from urllib.parse import quote
 
@@ -43,6 +44,8 @@ MOST_BYTES = 2 * 2**30
 """Most bytes of a case's inputs; stage frame for an image of 7680 x 4320 has 1.9 GiB."""
 MOST_HEADER = 10_000
 """Bytes of the header of a ``.npy`` file, as NumPy's ``max_header_size``."""
+SPACES = 0, 0, 64, 256
+"""At the end of an input's header, by its array's size: NumPy writes 128 bytes for nearly every array, others write more."""
 MOST_WEIGHTS_BYTES = 64 * 2**20
 """Most bytes of a weights file; this network's has 1.7 MiB."""
 
@@ -91,7 +94,7 @@ def write_inputs(folder: Path, case: Case) -> None:
     (folder / "in").mkdir(parents=True)
     (folder / "stage").write_text(f"{case.stage}\n", encoding="ascii")
     for name, array in case.inputs.items():
-        write_array(folder / "in" / file_of(name), array)
+        write_array(folder / "in" / file_of(name), array, spaces=SPACES[array.size % len(SPACES)])
 
 
 def file_of(name: str) -> str:
@@ -273,8 +276,13 @@ def write_outputs(case: Path, outputs: Arrays, into: str = "out") -> None:
         raise JobError(f"{error.filename}: {error.strerror}") from error
 
 
-def write_array(path: Path, array: AnyArray) -> None:
+def write_array(path: Path, array: AnyArray, *, spaces: int = 0) -> None:
     """Write an array into a new file in version 1.0, little-endian, C order; integers as int32.
+
+    Args:
+        path: the file.
+        array: the array.
+        spaces: further ones at the header's end.
 
     Raises:
         ArrayError: an integer has more than 32 bits.
@@ -283,8 +291,12 @@ def write_array(path: Path, array: AnyArray) -> None:
     if narrow is not array and (narrow != array).any():
         raise ArrayError(f"{path.stem}: expected integers of 32 bits")
     plain = narrow.astype(narrow.dtype.newbyteorder("<"), order="C", copy=False)
+    head = BytesIO()
+    np.lib.format.write_array_header_1_0(head, np.lib.format.header_data_from_array_1_0(plain))
+    text = head.getvalue()[10:-1] + b" " * spaces + b"\n"
     with path.open("xb") as file:
-        np.lib.format.write_array(file, plain, version=(1, 0), allow_pickle=False)
+        file.write(np.lib.format.magic(1, 0) + len(text).to_bytes(2, "little") + text)
+        file.write(plain.reshape(-1).view(np.uint8).data)
 
 
 def write_unsupported(case: Path) -> None:

@@ -67,11 +67,12 @@ def _motion_chain(generator: np.random.Generator) -> Any:
     for size, kind in CASES:
         motions = np.stack([motion(generator, size, kind) for _ in range(3)])
         yield {"motions": motions}, None
+    yield {"motions": generator.choice([-1.0, 1.0], (7, 12, 12, 2))}, None
 
 
 def _warp(generator: np.random.Generator) -> Any:
     for size, kind in CASES:
-        yield {"color": generator.random((*size, 6)), "motion": motion(generator, size, kind)}, None
+        yield {"color": generator.random((*size, 18)), "motion": motion(generator, size, kind)}, None
     wide = 1, 4096
     yield {"color": generator.random((*wide, 6)), "motion": motion(generator, wide, "short")}, None
 

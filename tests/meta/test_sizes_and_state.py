@@ -11,6 +11,7 @@ from conformance.cases.large_inputs import large_inputs
 from conformance.judging.findings import DepartureError
 from conformance.judging.judge import TIERS, Judge, Tier
 from conformance.protocol.stages import STAGES, reference
+from conformance.protocol.weights_file import serialise
 from conformance.report.failures import keep_failure, replay
 from conformance.report.report import judged_on
 from conformance.suite.properties import find_property
@@ -120,6 +121,11 @@ def test_what_quick_leaves_to_full_is_the_last_line():
     assert "not judged" not in judged_on(Judge(ReferencePort(), TIERS["full"]), results)[-1]
 
 
+def header_of(weights):
+    data = serialise(weights)
+    return data[: 8 + int.from_bytes(data[:8], "little")]
+
+
 KEYS = {
     "first rows": lambda inputs, _: [array[..., :1, :, :] if array.ndim > 2 else array[:1] for array in inputs.values()],
     "last rows": lambda inputs, _: [array[..., -1:, :, :] if array.ndim > 2 else array[-1:] for array in inputs.values()],
@@ -132,6 +138,7 @@ KEYS = {
     "no weights": lambda inputs, weights: [*inputs.values()],
     "the first weights": lambda inputs, weights: [*inputs.values(), weights[min(weights)]],
     "weights without their metadata": lambda inputs, weights: [*inputs.values(), *(weights[name] for name in sorted(weights))],
+    "the header of the weights' file": lambda inputs, weights: [*inputs.values(), np.frombuffer(header_of(weights), np.uint8)],
     "sums of weights": lambda inputs, weights: [
         *inputs.values(),
         *(np.sort(weights[name], axis=None) for name in sorted(weights)),
@@ -154,6 +161,7 @@ class Keeps(ReferencePort):
 
 KEPT = [
     *(("history", key) for key in ("first rows", "last rows", "sums", "every second pixel", "no weights", "sums of weights")),
+    *((stage, "the header of the weights' file") for stage in NETWORKS),
     *(("erm", key) for key in ("the first array", "the last array", "the first weights")),
     *(("frame", key) for key in ("first rows", "the newest frame", "weights without their metadata")),
     *(("warp", key) for key in ("sums", "the last array")),

@@ -8,11 +8,13 @@ import pytest
 from conformance.scenes import SCENES
 from stss.frames.display_frame import OnArrays, prepare
 from stss.frames.supersampler import Supersampler
+from stss.images.read_write import write_channels
 from stss_ground.errors import InputError
 from stss_ref.constants import HOLE_FILLS
 from stss_ref.detail import LUMA
 from stss_ref.resample import upsample_centres
 from stss_ref.schedule import FrameKind
+from tests.app.conftest import frame_channels
 from training import samples as module
 from training.augment import ACROSS, DOWN, LEVEL, MASK, MOTION, NORMAL, augment, collate, depths_at_random, mask_at_random
 from training.samples import film_frames, samples, split_of, unpack
@@ -216,3 +218,15 @@ def test_a_shard_replaces_nothing_else(tmp_path):
     assert set(tmp_path.rglob("*")) == before
     module.require_shard(films / "shard", [low, high])
     module.require_shard(films / "new", [low, high])
+
+
+def test_the_profile_is_the_one_whose_channels_the_files_have(tmp_path, capsys):
+    """As for ``stss run``: frames of the project's own layout need no ``--profile``."""
+    low, high = tmp_path / "lr", tmp_path / "hr"
+    for folder in (low, high):
+        folder.mkdir()
+    for number in range(7):
+        write_channels(low / f"a.{number:04d}.exr", frame_channels(number, (16, 24)))
+    write_channels(high / "a.0006.exr", {name: np.full((32, 48), 0.5) for name in "RGB"})
+    module.main(["-o", str(tmp_path / "out"), "--sequence", str(low), str(high), "--name", "mine"])
+    assert capsys.readouterr().out == "mine: 2 samples\n"

@@ -71,6 +71,21 @@ def test_files_are_plain(job):
     assert bits(jobs.read_weights(path.read_bytes(), path)) == bits(case.weights)
 
 
+def test_headers_of_inputs_differ_in_length(job):
+    """A port that takes 128 bytes for every header is wrong in some."""
+    written = job(
+        *(Case("rrm", {"valid": np.ones((1, w), np.uint8), "rectangle": np.array([0, 0, 1, 1], np.int32)}) for w in range(1, 5))
+    )
+    lengths = set()
+    for path in written.glob("*/in/valid.npy"):
+        data = path.read_bytes()
+        begin = 10 + int.from_bytes(data[8:10], "little")
+        lengths.add(begin)
+        assert begin % 64 == 0
+        assert len(data) - begin == np.load(path).size
+    assert lengths == {128, 192, 384}
+
+
 def test_results_of_two_runs_never_stand_side_by_side(job):
     folder = job(smallest_case("warp"), smallest_case("warp"))
     ports.run_job(folder, "ref")
