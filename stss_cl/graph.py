@@ -122,7 +122,7 @@ def evaluate(
     mask: T,
     history: T,
     graph: Sequence[Node] = GRAPH,
-    known: Mapping[str, T] | None = None,
+    results: Mapping[str, T] | None = None,
 ) -> dict[str, T]:
     """Compute the network up to the residual at the frame's size, ``outc``.
 
@@ -130,7 +130,7 @@ def evaluate(
         do: the operations.
         color, gbuffer, mask, history: as in `stss_ref.network.network`, padded to multiples of 8.
         graph: of `nodes`.
-        known: results, by name, that nodes read and ``graph`` does not compute.
+        results: results, by name, that nodes read and ``graph`` does not compute.
 
     Returns:
         All results by name.
@@ -139,7 +139,7 @@ def evaluate(
         "input": do.join([color, do.multiply(color, mask), gbuffer]),
         "gbuffer": do.reduce(gbuffer),
         "history": history,
-        **(known or {}),
+        **(results or {}),
     }
     m = do.reduce(mask)
     for node in graph:

@@ -66,12 +66,12 @@ def _names(header: Header, view: str) -> dict[str, str]:
         return {name: name for name in header.channels}
     if view and view not in header.views:
         raise InputError(f"{header.path}: no view {view}; expected one of {', '.join(header.views)}")
-    chosen = view or header.views[0]
-    names = {name: name for name in header.channels if chosen == header.views[0] or view_of(name, header.views)}
+    eye = view or header.views[0]
+    names = {name: name for name in header.channels if eye == header.views[0] or view_of(name, header.views)}
     for name in header.channels:
-        if view_of(name, header.views) == chosen:
+        if view_of(name, header.views) == eye:
             parts = name.split(".")
-            parts.remove(chosen)
+            parts.remove(eye)
             names[".".join(parts)] = name
     return names
 

@@ -98,16 +98,16 @@ def _size(number: int, planes: Mapping[str, Array]) -> tuple[int, int]:
     return height, width
 
 
-def require_depth_buffer(where: str, stored: Array, rule: DepthRule) -> None:
+def require_depth_buffer(where: str, values: Array, rule: DepthRule) -> None:
     """Raise InputError where the profile says that depth is a depth buffer's, and finite values (H, W, 1) are not: 0 to 1."""
     if rule.kind != "device":
         return
     with np.errstate(invalid="ignore"):
-        bad = np.isfinite(stored) & ((stored < -ROUNDING) | (stored > 1 + ROUNDING))
+        bad = np.isfinite(values) & ((values < -ROUNDING) | (values > 1 + ROUNDING))
     if bad.any():
         y, x, _ = np.argwhere(bad)[0]
         raise InputError(
-            f"{where}: depth: expected a depth buffer's values, from 0 to 1, found {bad.sum()} others, the first {stored[y, x, 0]:g} at "
+            f"{where}: depth: expected a depth buffer's values, from 0 to 1, found {bad.sum()} others, the first {values[y, x, 0]:g} at "
             f'(y={y}, x={x}); the profile says kind = "device", linear depth is kind = "planar"'
         )
 

@@ -166,9 +166,9 @@ class Sequence:
     def _load(self, number: int, *, color: bool = True, also: Collection[str] = ()) -> Buffers:
         """The frame with the motion that its files have."""
         frame = self._frame(number)
-        if gone := [buffer for buffer in BUFFERS if buffer != "color" and not self.has(number, buffer)]:
+        if missing := [buffer for buffer in BUFFERS if buffer != "color" and not self.has(number, buffer)]:
             there = sorted({name for path in frame.files for name in read_header(path).channels})
-            raise missing_buffers(self.profile, gone, self._where(number), there)
+            raise missing_buffers(self.profile, missing, self._where(number), there)
         others = self._carried(number, also) if color and "color" in frame.sources else {}
         arrays, carried = read_stored(frame, self.canvas, self.constants, others, color=color)
         require_depth_buffer(self._where(number), arrays["depth"], self.profile.depth)
@@ -460,7 +460,7 @@ def _require_buffers(path: Path, profile: Profile, frames: Mapping[int, RawFrame
     """Raise InputError if no frame at all has some buffers: then the profile or the render is wrong, and no file is missing."""
     assert set(constants) <= set(CONSTANTS)
     found = {*constants, *(buffer for frame in frames.values() for buffer in frame.sources)}
-    gone = [buffer for buffer in BUFFERS if buffer not in found and buffer != "nov"]  # which follows from position and depth
-    if gone:
+    missing = [buffer for buffer in BUFFERS if buffer not in found and buffer != "nov"]  # which follows from position and depth
+    if missing:
         there = sorted({name for file in next(iter(frames.values())).files for name in read_header(file).channels})
-        raise missing_buffers(profile, gone, path, there)
+        raise missing_buffers(profile, missing, path, there)

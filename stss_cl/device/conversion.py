@@ -26,9 +26,9 @@ _proved: WeakKeyDictionary[cl.Context, bool] = WeakKeyDictionary()
 
 def stored_as(device: Device, dtype: np.dtype[Any]) -> dict[str, object]:
     """The options of kernels (kernels/common.clh) for activations of this dtype."""
-    stored = storage(dtype)
-    converts = (stored == "BFLOAT16" and amx.are_used(device)) or (stored == "HALF" and converts_half(device))
-    return {"STORED": stored, "CONVERTS": converts}
+    kind = storage(dtype)
+    converts = (kind == "BFLOAT16" and amx.are_used(device)) or (kind == "HALF" and converts_half(device))
+    return {"STORED": kind, "CONVERTS": converts}
 
 
 def has_instructions(device: Properties) -> bool:

@@ -59,8 +59,8 @@ class Taau:
         """
         offset = next(self._offsets, (0.0, 0.0))
         low, high = (_nearest(edge, offset) for edge in _box(prepared.color[..., :3]))
-        shown = np.clip(lanczos_centres(prepared.color[..., :3], offset), low, high)
-        count = np.ones((*shown.shape[:2], 1), np.float32)
+        image = np.clip(lanczos_centres(prepared.color[..., :3], offset), low, high)
+        count = np.ones((*image.shape[:2], 1), np.float32)
         # Only the first frame after a gap has no earlier one within reach, and so no step back.
         if max(inputs.steps) > 0 and self._shown is not None:
             motion = inputs.motions[0] - np.subtract(self._before, offset, dtype=np.float32)
@@ -71,10 +71,10 @@ class Taau:
             keep = (leads_inside(at) & (_nearest(seen, offset) | self._jittered))[..., None]
             history = np.clip(before[..., :3], low, high)
             count = np.where(keep, np.clip(before[..., 3:], 0, MOST - 1) + 1, 1)
-            share = np.where(keep, np.maximum(_trust(shown.shape[:2], offset)[..., None] / count, 1 / MOST), 1)
-            shown = (history + (shown - history) * share).astype(shown.dtype)
-        self._shown, self._before = np.concatenate([shown, count], axis=-1, dtype=np.float32), offset
-        return shown
+            share = np.where(keep, np.maximum(_trust(image.shape[:2], offset)[..., None] / count, 1 / MOST), 1)
+            image = (history + (image - history) * share).astype(image.dtype)
+        self._shown, self._before = np.concatenate([image, count], axis=-1, dtype=np.float32), offset
+        return image
 
 
 def _trust(size: tuple[int, int], offset: tuple[float, float]) -> Plane:
