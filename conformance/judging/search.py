@@ -29,7 +29,7 @@ class DrawnCases:
 
     Args:
         strategy: draws the cases.
-        slow: a case runs the network, which takes time: fewer cases are drawn.
+        slow: a case takes time, as the network does: fewer cases are drawn.
     """
 
     def __init__(self, strategy: st.SearchStrategy[Any], *, slow: bool = False):

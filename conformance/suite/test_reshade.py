@@ -23,7 +23,7 @@ def test_agrees_with_the_reference(judge: Judge, inputs: Inputs) -> Talk:
     yield from judge.agrees("reshade", inputs)
 
 
-@cases(reshade_inputs(color="unit"))
+@cases(reshade_inputs(color="unit"), slow=True)
 def test_what_is_no_hole_stays(judge: Judge, inputs: Inputs) -> Talk:
     """Outside holes the warped colour is a copy, bit for bit."""
     got = (yield ask("reshade", inputs))["reshade"]
@@ -32,7 +32,7 @@ def test_what_is_no_hole_stays(judge: Judge, inputs: Inputs) -> Talk:
     judge.same("reshade.reshade", np.where(valid, got, 0), np.where(valid, want, np.float32(0)))
 
 
-@cases(reshade_inputs())
+@cases(reshade_inputs(), slow=True)
 def test_what_was_read_in_holes_is_the_last_resort(judge: Judge, inputs: Inputs) -> Talk:
     """With other warped colours in holes only those holes are others that have nothing else to take, and show theirs, bit for bit."""
     exact = judge.exactly(inputs, "reshade")
