@@ -78,10 +78,10 @@ class Number(click.FloatRange):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         """Parse; a wrong one is the user's mistake."""
-        path = super().convert(value, param, ctx)
-        if not math.isfinite(path):
+        number = super().convert(value, param, ctx)
+        if not math.isfinite(number):
             self.fail(f"expected a finite number, got {value!r}", param, ctx)
-        return path
+        return number
 
 
 class Names(click.ParamType):  # pyright: ignore[reportMissingTypeArgument]
@@ -106,8 +106,8 @@ class Size(click.ParamType):  # pyright: ignore[reportMissingTypeArgument]
         """Parse; a wrong size is the user's mistake."""
         if isinstance(value, tuple):
             return value
-        path = re.fullmatch(r"([1-9][0-9]{0,5})x([1-9][0-9]{0,5})", str(value))
-        width, height = (int(path[1]), int(path[2])) if path else (0, 0)
+        match = re.fullmatch(r"([1-9][0-9]{0,5})x([1-9][0-9]{0,5})", str(value))
+        width, height = (int(match[1]), int(match[2])) if match else (0, 0)
         if not 1 <= width * height <= self._most_pixels or max(width, height) > self._most_side:
             most = f"{self._most_side} a side and {self._most_pixels} pixels"
             self.fail(f"expected width x height such as 1280x720, at most {most}, got {value!r}", param, ctx)

@@ -35,6 +35,13 @@ from stss_ground.terminal import Terminal, echo
 @sequence_options
 @weights_option
 @click.option("--methods", type=Names(), default=(), help="Which, such as bilinear,taau,network  [default: all]")
+@click.option(
+    "--with",
+    "others",
+    type=ReadPath(),
+    multiple=True,
+    help="Folder of frames that another program made of SEQUENCE: a row of the folder's name.",
+)
 @backend_options
 @frame_options
 @click.option("--overwrite", is_flag=True, help="Replace what an earlier run wrote.")
@@ -48,12 +55,13 @@ def methods_command(
     reading: SequenceOptions,
     weights: str,
     methods: tuple[str, ...],
+    others: tuple[Path, ...],
     html: Path | None,
     perceptual: Perceptual,
     as_json: bool,
     backend: str,
     compute: ComputeOptions,
-    **others: Any,
+    **output: Any,
 ) -> None:
     """Run SEQUENCE with the network and with methods that have none, and compare all with TRUTH: one table, and a page with --html.
 
@@ -68,18 +76,19 @@ def methods_command(
 
     bar = partial(track, console=Terminal(stderr=True))
     files = reading.open(sequence, bar)
-    reads = [Path(weights), *([*truth.iterdir()] if truth.is_dir() else [])]
-    options = RunOptions.of(files.profile, **others)
+    reads = [Path(weights), *(path for folder in (truth, *others) if folder.is_dir() for path in folder.iterdir())]
+    options = RunOptions.of(files.profile, **output)
     names = method_table.choose_methods(methods, weights)
+    method_table.require_names(names, others)
     loaded = choose_weights(weights, files, partial(echo, err=True), needed=NETWORK in names)
     folders = [*(folder_of(out / method) for method in names), *([] if html is None else [page_folder(html)])]
     require_places({"--html": html}, [*files.tables, *reads], folders=folders, inputs=files.images)
     console, tell = Terminal(stderr=True), partial(echo, err=True)
     engines = {name: partial(open_method, name, loaded, backend, compute, tell=tell) for name in names}
     first, last = options.frames or (files.numbers[0], files.numbers[-1])
-    with show_progress(console, 2 * len(names) * (last - first + 1)) as advance:
+    with show_progress(console, (2 * len(names) + len(others)) * (last - first + 1)) as advance:
         results = method_table.run_methods(
-            files, truth, out, engines, options, perceptual=perceptual, on_frame=advance, reads=reads
+            files, truth, out, engines, options, perceptual=perceptual, on_frame=advance, reads=reads, others=others
         )
     if html is not None:
         methods_page(html, results, truth, files, options.frames, bar)

@@ -34,7 +34,9 @@ from stss_ground.terminal import Terminal, echo
     "--sequence", type=ReadPath(), help="The input of OUT: flicker is measured along its motion, and the page shows it."
 )
 @click.option(
-    "--holes", type=ReadPath(), help="The folder of another run, over whose holes to score: two runs may differ in theirs."
+    "--holes",
+    type=ReadPath(),
+    help="The folder of another run, over whose holes to score: two runs may differ in theirs, another program's frames have none.",
 )
 @sequence_options
 @perceptual_options

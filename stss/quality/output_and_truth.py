@@ -89,16 +89,19 @@ def find_pairs(
         truth: likewise.
         frames: first and last to include; None: all.
         non_finite: see `Pair`.
-        holes: a run's folder, whose masks of warping holes stand for those of ``out``; None: its own.
+        holes: a run's folder, whose masks of warping holes stand for those of ``out``, and whose kinds and transfer for those that the
+            files of ``out`` do not say; None: its own.
 
     Raises:
         InputError: a folder is not there, the two have no frame in common, or a file cannot be read.
     """
     outputs, truths = _numbered(out, frames), _numbered(truth, frames)
-    masks = None if holes is None else _numbered(holes / "holes", frames)
     pairs = {n: _pair(outputs[n], truths[n], non_finite) for n in sorted(outputs.keys() & truths.keys())}
-    if masks is not None:
-        pairs = {n: replace(pair, holes=masks.get(n)) for n, pair in pairs.items()}
+    if holes is not None:
+        run = {n: _kind_and_transfer(path, read_header(path).attributes) for n, path in _numbered(holes, frames).items()}
+        is_rendered = run and all(kind == "SF" for kind, _ in run.values())  # every frame: then none has holes
+        masks = {} if is_rendered else _numbered(holes / "holes", frames)
+        pairs = {n: _as_in_run(pair, *run.get(n, (None, None)), masks.get(n)) for n, pair in pairs.items()}
     if not pairs:
         there = f"found {list_numbers(truths)}" + (f" within {frames[0]} to {frames[1]}" if frames else "")
         raise InputError(f"{truth}: expected a frame that {out} has, one of {list_numbers(outputs)}; {there}")
@@ -143,17 +146,27 @@ def _numbered(folder: Path, frames: tuple[int, int] | None) -> dict[int, Path]:
 def _pair(output: Path, truth: Path, non_finite: NonFinite) -> Pair:
     attributes, other = (read_header(path).attributes for path in (output, truth))
     made_with = {name: str(attributes[f"stss:{name}"]) for name in MADE_WITH if f"stss:{name}" in attributes}
-    kind, domain = attributes.get("stss:kind"), made_with.get("transfer")
-    if kind not in (*KINDS, None):
-        raise InputError(f"{output}: stss:kind: expected {' or '.join(KINDS)}, found {kind!r}")
-    if domain not in (*TRANSFERS, None):
-        raise InputError(f"{output}: stss:transfer: expected one of {', '.join(TRANSFERS)}, found {domain!r}")
+    kind, domain = _kind_and_transfer(output, attributes)
     holes = output.parent / "holes" / f"{output.stem}.png"
     share = _share(output, attributes.get("stss:static-holes"))
-    kind = None if kind is None else str(kind)
     return Pair(
         output, truth, kind, domain, holes if holes.exists() else None, share, made_with, _differ(attributes, other), non_finite
     )
+
+
+def _as_in_run(pair: Pair, kind: str | None, domain: str | None, holes: Path | None) -> Pair:
+    """With a run's holes, and its kind and transfer where the output's own file names none."""
+    return replace(pair, kind=pair.kind or kind, transfer=pair.transfer or domain, holes=holes)
+
+
+def _kind_and_transfer(path: Path, attributes: Mapping[str, Value]) -> tuple[str | None, str | None]:
+    """The kind of frame, and the transfer, as far as a file's metadata say them."""
+    kind, domain = (attributes.get(f"stss:{name}") for name in ("kind", "transfer"))
+    if kind not in (*KINDS, None):
+        raise InputError(f"{path}: stss:kind: expected {' or '.join(KINDS)}, found {kind!r}")
+    if domain not in (*TRANSFERS, None):
+        raise InputError(f"{path}: stss:transfer: expected one of {', '.join(TRANSFERS)}, found {domain!r}")
+    return None if kind is None else str(kind), None if domain is None else str(domain)
 
 
 def _differ(output: Mapping[str, Value], truth: Mapping[str, Value]) -> tuple[str, str] | None:

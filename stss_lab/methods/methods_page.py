@@ -11,7 +11,7 @@ from stss.quality.output_and_truth import find_pairs
 from stss.sequence.reader import Sequence as Frames
 from stss_ground.pages.page import table
 from stss_ground.progress import Track
-from stss_lab.methods.methods_table import MethodResult, caption, cells
+from stss_lab.methods.methods_table import MethodResult, caption, cells, holes_of
 
 
 def methods_page(
@@ -35,8 +35,9 @@ def methods_page(
     Raises:
         InputError: a file can't be read or the page can't be written.
     """
+    run = next(r.folder for r in results if r.method == holes_of([r.method for r in results]))
     versions = [
-        Version(r.method, f"Method {r.method}: docs/metrics.md.", find_pairs(r.folder, truth, frames)[0], r.comparison)
+        Version(r.method, f"Method {r.method}: docs/metrics.md.", find_pairs(r.folder, truth, frames, holes=run)[0], r.comparison)
         for r in results
     ]
     headings, rows = cells(results)

@@ -16,7 +16,7 @@ from rich.table import Table
 from stss.frames.backends import NETWORK, Backend
 from stss.quality.compare import Comparison, compare, print_whole
 from stss.quality.flip_vmaf import NEITHER, Perceptual
-from stss.run.frame_job import HOLES
+from stss.quality.output_and_truth import list_numbers
 from stss.run.job import require_near, run
 from stss.run.options import RunOptions
 from stss.sequence.reader import Sequence as Frames
@@ -73,6 +73,7 @@ def run_methods(
     perceptual: Perceptual = NEITHER,
     on_frame: Callable[[str], None] = lambda method: None,
     reads: Sequence[Path] = (),
+    others: Sequence[Path] = (),
 ) -> list[MethodResult]:
     """Run each method into ``out/METHOD`` and compare its frames with the truth.
 
@@ -85,6 +86,7 @@ def run_methods(
         perceptual: metrics to take too.
         on_frame: called with the method when it has made or compared a frame.
         reads: files that must not be written to, besides those of the sequence.
+        others: folders of frames that another program made of the same sequence, each a method of the folder's name.
 
     Raises:
         InputError: as ``stss run`` and ``stss compare``.
@@ -95,14 +97,36 @@ def run_methods(
         backend, label = engine()
         run(sequence, out / method, backend, label, options, lambda _, method=method: on_frame(method), reads)
     results: list[MethodResult] = []
-    for method in engines:
-        bar, masks = partial(_counted, method, on_frame), out / holes_of([*engines])
-        masks = masks if (masks / HOLES).exists() else None  # where every frame was rendered, there are none
+    for folder in (*(out / method for method in engines), *others):
+        method, run_with_holes = name_of(folder), out / holes_of([*engines])
+        bar = partial(_counted, method, on_frame)
         scores = compare(
-            out / method, truth, frames=options.frames, sequence=sequence, perceptual=perceptual, holes=masks, track=bar
+            folder, truth, frames=options.frames, sequence=sequence, perceptual=perceptual, holes=run_with_holes, track=bar
         )
-        results.append(MethodResult(method, out / method, scores))
+        require_same_frames(folder, scores, results)
+        results.append(MethodResult(method, folder, scores))
     return results
+
+
+def name_of(folder: Path) -> str:
+    """The name of a method by the folder of its frames."""
+    return folder.resolve().name
+
+
+def require_names(names: Sequence[str], others: Sequence[Path]) -> None:
+    """Raise InputError if a folder of frames from elsewhere has the name of a method, or of another such folder."""
+    for i, folder in enumerate(others):
+        if name_of(folder) in (*METHODS, NETWORK, *names, *(name_of(other) for other in others[:i])):
+            raise InputError(
+                f"{folder}: expected a folder with a name of its own, which its row gets; {name_of(folder)} is another's"
+            )
+
+
+def require_same_frames(folder: Path, scores: Comparison, results: Sequence[MethodResult]) -> None:
+    """Raise InputError if a folder lacks frames that the methods before it have: means would not be of the same frames."""
+    wanted = {row.number for result in results for row in result.comparison.rows}
+    if missing := wanted - {row.number for row in scores.rows}:
+        raise InputError(f"{folder}: expected the frames of the other methods; {list_numbers(missing)} not there")
 
 
 def holes_of(methods: Sequence[str]) -> str:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +15,7 @@ from scipy.ndimage import binary_dilation
 from stss.demo import write_demo_sequence
 from stss.frames.backends import ReferenceBackend
 from stss.frames.supersampler import Supersampler
+from stss.images.read_write import write_rgb
 from stss.images.resample import enlarged, lanczos_centres
 from stss.run.job import run
 from stss.run.options import RunOptions
@@ -240,6 +242,30 @@ def test_methods_side_by_side(tmp_path):
         choose_methods(("taau", "taau"), BILINEAR)
 
 
+def test_frames_of_another_program_are_a_row_beside(tmp_path):
+    """They say neither kind nor transfer nor holes: those are the frames', whoever made them."""
+    write_demo_sequence(tmp_path / "demo", 6, (24, 40))
+    words = ["methods", tmp_path / "demo" / "frames", tmp_path / "demo" / "truth", "-o", tmp_path / "out", "--frames", "2:5"]
+    words += ["--methods", "lanczos", "--json"]
+    assert call(*words).returncode == 0
+    mine, page = tmp_path / "mine", tmp_path / "page.html"
+    mine.mkdir()
+    for n in range(2, 6):
+        pixels = oiio.ImageBuf(str(tmp_path / "out" / "lanczos" / f"frame.{n:04d}.exr")).get_pixels()
+        write_rgb(mine / f"own_{n}.exr", pixels)
+    done = call(*words, "--overwrite", "--with", mine, "--html", page)
+    assert done.returncode == 0, done.stderr
+    scores = json.loads(done.stdout)
+    assert scores["mine"]["means"] == scores["lanczos"]["means"]
+    assert scores["mine"]["holes"] == scores["lanczos"]["holes"] > 0
+    assert "Method mine" in page.read_text(encoding="utf-8")
+    again = (*words, "--overwrite", "--with", mine)
+    refused(call(*again, "--with", mine), f"{mine}: expected a folder with a name of its own")
+    refused(call(*again, "--with", tmp_path / "out" / "lanczos"), "lanczos is another's")
+    (mine / "own_4.exr").unlink()
+    refused(call(*again), f"{mine}: expected the frames of the other methods; frame 4 not there")
+
+
 def test_every_frame_rendered_has_no_holes_to_score(write_frames, tmp_path):
     files = open_sequence(write_frames(range(3), size=(16, 24)), "stss")
     options = RunOptions(rendered="all")
@@ -249,6 +275,16 @@ def test_every_frame_rendered_has_no_holes_to_score(write_frames, tmp_path):
     )
     assert [mean.name for mean in results[0].comparison.means] == ["SF"]
     assert results[0].comparison.holes is None
+    others = [shutil.copytree(tmp_path / "out" / "bilinear", tmp_path / "copy")]
+    results = run_methods(
+        files,
+        tmp_path / "truth",
+        tmp_path / "again",
+        {"bilinear": lambda: (MethodBackend("bilinear"), "none")},
+        options,
+        others=others,
+    )
+    assert results[1].comparison.means == results[0].comparison.means
 
 
 def test_temporal_upsampling_knows_the_jitter():
