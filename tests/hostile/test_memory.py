@@ -81,8 +81,8 @@ def two_streams(request, device):
 
 
 @settings(max_examples=6)
-@example(drawn=FIRST_COLOR_LAST_READ)
-@given(drawn=FILMS)
+@example(case=FIRST_COLOR_LAST_READ)
+@given(case=FILMS)
 def test_arrays_may_be_rewritten_once_their_frame_left_the_window(two_streams, case):
     """As many sets of arrays as a window has frames give the bits, and the cost, of new arrays for every frame."""
     frames = film(case.changes, case.size, case.seed, case.rendered)

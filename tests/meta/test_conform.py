@@ -243,7 +243,7 @@ def test_known_failures(here):
         (["--port", "wrong_port:Port", "--weights-version", "2"], "weights_version: expected 1, 3, 4 or 5, got 2"),
         (["--exec", "./no_such_program"], "./no_such_program: cannot be started"),
         (["--exec", "'"], "--exec: No closing quotation"),
-        (["--exec", ""], "--exec: expected a command"),
+        (["--exec", ""], "'--exec': expected a name, got an empty text"),
         (["--port", "wrong_port:Port", "--stages", "wrap"], "--stages: expected some of motion_chain"),
         (["--port", "wrong_port:Port", "--replay", "nowhere"], "nowhere: no such folder"),
         (["--port", "wrong_port:Port", "--known-failures", "nowhere"], "nowhere: No such file"),
