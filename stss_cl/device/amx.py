@@ -6,9 +6,7 @@ from __future__ import annotations
 import ctypes
 import os
 import platform
-from contextlib import suppress
 from functools import cache
-from weakref import WeakKeyDictionary
 
 import numpy as np
 import pyopencl as cl
@@ -17,15 +15,13 @@ from stss_cl.device.buffers import FLAGS, constant, to_bfloat16
 from stss_cl.device.discovery import Device, Properties
 from stss_cl.device.launch import Kernel
 from stss_cl.device.program import build
-from stss_ground.errors import DeviceError
+from stss_cl.device.proof import are_right
 from stss_ground.machine import cpu_flags
 
 NEEDED = frozenset({"amx_tile", "amx_bf16", "avx512_bf16", "avx512vl"})
 """Flags of a processor whose tiles multiply bfloat16, and that converts to it; Linux lists one only if the kernel, too, can use it."""
 ARCH_PRCTL, REQUEST_PERMISSION, TILE_DATA = 158, 0x1023, 18
 """Linux's system call on x86-64 by which a process asks for the tiles' 8 KiB of state, once for all its threads."""
-
-_proved: WeakKeyDictionary[cl.Context, bool] = WeakKeyDictionary()
 
 
 def missing(device: Properties) -> str:
@@ -40,13 +36,8 @@ def missing(device: Properties) -> str:
 
 
 def are_used(device: Device) -> bool:
-    """Whether products run on matrix units: one was right to the last bit, tested once for each context."""
-    if device.context not in _proved:
-        _proved[device.context] = False
-        if not missing(device):
-            with suppress(DeviceError, cl.Error):  # the compiler may not know the instructions
-                _proved[device.context] = product_is_right(device, emulate=False)
-    return _proved[device.context]
+    """Whether products run on matrix units: one was right to the last bit."""
+    return not missing(device) and are_right(device, "amx", lambda: product_is_right(device, emulate=False))
 
 
 def emulated(device: Device) -> str:

@@ -4,9 +4,7 @@
 from __future__ import annotations
 
 import platform
-from contextlib import suppress
 from typing import Any
-from weakref import WeakKeyDictionary
 
 import numpy as np
 import pyopencl as cl
@@ -16,12 +14,11 @@ from stss_cl.device.buffers import FLAGS, constant, storage
 from stss_cl.device.discovery import Device, Properties
 from stss_cl.device.launch import Kernel
 from stss_cl.device.program import build
-from stss_ground.errors import DeviceError
+from stss_cl.device.proof import are_right
 from stss_ground.machine import cpu_flags
 
 LARGEST = 65504.0
 """Half's largest number, which stands for all that are larger."""
-_proved: WeakKeyDictionary[cl.Context, bool] = WeakKeyDictionary()
 
 
 def stored_as(device: Device, dtype: np.dtype[Any]) -> dict[str, object]:
@@ -37,14 +34,8 @@ def has_instructions(device: Properties) -> bool:
 
 
 def converts_half(device: Device) -> bool:
-    """Whether the processor's own instructions convert half: all were right, tested once for each context."""
-    if not has_instructions(device):
-        return False
-    if device.context not in _proved:
-        _proved[device.context] = False
-        with suppress(DeviceError, cl.Error):  # the compiler may not know the instructions
-            _proved[device.context] = conversions_are_right(device, instructions=True)
-    return _proved[device.context]
+    """Whether the processor's own instructions convert half: all conversions were right."""
+    return has_instructions(device) and are_right(device, "half", lambda: conversions_are_right(device, instructions=True))
 
 
 def conversions_are_right(device: Device, *, instructions: bool) -> bool:

@@ -4,10 +4,9 @@
 from __future__ import annotations
 
 from collections.abc import Generator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import Any
-from weakref import WeakKeyDictionary
 
 import numpy as np
 import pyopencl as cl
@@ -17,14 +16,13 @@ from stss_cl.device.buffers import FLAGS, constant
 from stss_cl.device.discovery import Device, Properties
 from stss_cl.device.launch import Kernel
 from stss_cl.device.program import build
-from stss_ground.errors import DeviceError
+from stss_cl.device.proof import are_right
 
 LANES, UNIT, PARTS, HELD = 32, 16, 4, 2
 """Work-items that multiply together, a wave; pixels of a product; ``PARTS`` x ``HELD`` outputs: a work-item has the sums of one part."""
 WAVES = 64 // UNIT
 """Waves in a work-group."""
 
-_proved: WeakKeyDictionary[cl.Context, bool] = WeakKeyDictionary()
 _trial: ContextVar[bool | None] = ContextVar("_trial", default=None)
 
 
@@ -64,14 +62,8 @@ def arrange(weight: NDArray[Any]) -> NDArray[Any]:
 
 
 def prove(device: Device) -> bool:
-    """Whether one product came out right to the last bit, tested once for each context."""
-    if not may_have(device):
-        return False
-    if device.context not in _proved:
-        _proved[device.context] = False
-        with suppress(DeviceError, cl.Error):  # older GPUs do not know the instruction
-            _proved[device.context] = _product_is_right(device)
-    return _proved[device.context]
+    """Whether one product came out right to the last bit."""
+    return may_have(device) and are_right(device, "matrix units", lambda: _product_is_right(device))
 
 
 def _product_is_right(device: Device) -> bool:
