@@ -168,8 +168,9 @@ def _changes(weights: Weights, arithmetic: Arithmetic) -> Tensors:
 
 
 def _changed(weights: Weights, changes: Tensors, random: np.random.Generator) -> Weights:
+    """Drawn by name, so that the same weights have the same bounds in whatever order their tensors come."""
     arrays = {
-        name: tensor + changes[name] * (2 * random.random(tensor.shape, np.float32) - 1) for name, tensor in weights.items()
+        name: weights[name] + changes[name] * (2 * random.random(weights[name].shape, np.float32) - 1) for name in sorted(weights)
     }
     return replace(weights, tensors=arrays)
 

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """The numbers of the table of bounds that follow from others."""
 
+from dataclasses import replace
 from fractions import Fraction
 
 import hypothesis
@@ -14,7 +15,7 @@ from conformance.answers.frame import detail_errors
 from conformance.answers.network import expect_with_weights
 from conformance.answers.port_arithmetic import Arithmetic, reach, sum_error
 from conformance.answers.warp import within_frame
-from conformance.cases.large_inputs import frame_case
+from conformance.cases.large_inputs import frame_case, network_case
 from conformance.protocol.reference_copy import load, returns
 from conformance.protocol.stages import network_inputs
 from conformance.tolerance import BOUNDS, worst
@@ -120,3 +121,14 @@ def test_the_image_holds_the_rounding_of_a_long_motion(size, steps):
     for way in (1, -1):
         assert 0 < against_bound(lambda m, step, way=way: m + way * (step - 1) * sum_error(m, 1, arithmetic)) < 0.5
     assert against_bound(lambda m, _: m.astype(np.float16).astype(np.float64)) > 1
+
+
+def test_the_order_of_tensors_changes_no_bound():
+    """A port is given them in another order than the reference."""
+    inputs, weights = network_case("encoder", (8, 8), np.random.default_rng(0))
+    inputs = {name: np.asarray(array, np.float64) for name, array in inputs.items()}
+    turned = replace(weights, tensors={name: weights[name] for name in reversed([*weights])})
+    one, other = (expect_with_weights("encoder", inputs, each, Arithmetic("float32")) for each in (weights, turned))
+    assert {name: (each.allowed, each.rms) for name, each in one.items()} == {
+        name: (each.allowed, each.rms) for name, each in other.items()
+    }
