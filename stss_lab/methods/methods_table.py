@@ -16,7 +16,7 @@ from rich.table import Table
 from stss.frames.backends import NETWORK, Backend
 from stss.quality.compare import Comparison, compare, print_whole
 from stss.quality.flip_vmaf import NEITHER, Perceptual
-from stss.quality.output_and_truth import list_numbers
+from stss.quality.output_and_truth import find_pairs, list_numbers
 from stss.run.job import require_near, run
 from stss.run.options import RunOptions
 from stss.sequence.reader import Sequence as Frames
@@ -93,6 +93,8 @@ def run_methods(
     """
     perceptual.require_packages()
     require_near(sequence, *(options.frames or (sequence.numbers[0], sequence.numbers[-1])))
+    for folder in others:
+        require_same_frames(folder, truth, sequence, options.frames)
     for method, engine in engines.items():
         backend, label = engine()
         run(sequence, out / method, backend, label, options, lambda _, method=method: on_frame(method), reads)
@@ -103,7 +105,6 @@ def run_methods(
         scores = compare(
             folder, truth, frames=options.frames, sequence=sequence, perceptual=perceptual, holes=run_with_holes, track=bar
         )
-        require_same_frames(folder, scores, results)
         results.append(MethodResult(method, folder, scores))
     return results
 
@@ -122,10 +123,10 @@ def require_names(names: Sequence[str], others: Sequence[Path]) -> None:
             )
 
 
-def require_same_frames(folder: Path, scores: Comparison, results: Sequence[MethodResult]) -> None:
-    """Raise InputError if a folder lacks frames that the methods before it have: means would not be of the same frames."""
-    wanted = {row.number for result in results for row in result.comparison.rows}
-    if missing := wanted - {row.number for row in scores.rows}:
+def require_same_frames(folder: Path, truth: Path, sequence: Frames, frames: tuple[int, int] | None) -> None:
+    """Raise InputError if a folder lacks frames that the methods will have: means would not be of the same frames."""
+    *_, lacks = find_pairs(folder, truth, frames)
+    if missing := {*lacks} & {*sequence.numbers}:
         raise InputError(f"{folder}: expected the frames of the other methods; {list_numbers(missing)} not there")
 
 

@@ -263,7 +263,10 @@ def test_frames_of_another_program_are_a_row_beside(tmp_path):
     refused(call(*again, "--with", mine), f"{mine}: expected a folder with a name of its own")
     refused(call(*again, "--with", tmp_path / "out" / "lanczos"), "lanczos is another's")
     (mine / "own_4.exr").unlink()
+    before = {path: path.stat().st_mtime_ns for path in (tmp_path / "out").rglob("*")}
     refused(call(*again), f"{mine}: expected the frames of the other methods; frame 4 not there")
+    refused(call(*words, "--overwrite", "--with", tmp_path / "none"), f"{tmp_path / 'none'}: no such folder")
+    assert {path: path.stat().st_mtime_ns for path in (tmp_path / "out").rglob("*")} == before  # said before anything is computed
 
 
 def test_every_frame_rendered_has_no_holes_to_score(write_frames, tmp_path):
