@@ -34,7 +34,7 @@ check: $(VENV)/.check
 bench: $(VENV)/.bench
 	$(BIN)/stss bench --json bench.json
 
-# The judge judged: planted faults that it must find, and right ports that it must let pass (half an hour).
+# The judge judged: planted faults that it must find, and right ports that it must let pass (hours of a core each).
 mutants alarms: $(VENV)/.test
 	$(BIN)/python -m tests.meta.$(if $(filter mutants,$@),run_mutants,run_false_alarms)
 
