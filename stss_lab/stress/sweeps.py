@@ -129,7 +129,7 @@ def bounds(plan: StressPlan) -> StressTable:
             "cl bfloat16": "cl.bfloat16",
         }[engine.name]
         rows.append((engine.name, float(np.median(errors)), max(errors), BOUNDS[f"network.{row}"].floor))
-    columns = ("", "median seed", "worst seed", "asked")
+    columns = ("", "median seed", "worst seed", "bound")
     return StressTable("bounds", "Image of the network: largest absolute error", columns, tuple(rows))
 
 

@@ -448,7 +448,7 @@ def test_what_the_page_says_of_a_built_in_profile(name):
 def test_names_of_the_api():
     """The other packages' names are compared in tests/test_api.py; here what an output and `Buffers` have."""
     output = loop().push(buffers(0))
-    sentence = re.search(r"An output has (.*?)\. Its arrays", " ".join(prose("api.md").split()))[1]
+    sentence = re.search(r"An output has (.*?)\. You may change", " ".join(prose("api.md").split()))[1]
     assert set(re.findall(r"`(\w+)`", sentence)) == {field.name for field in fields(output)}
     assert names("stss")
 
