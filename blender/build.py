@@ -83,8 +83,8 @@ def main() -> None:
     """The command line."""
     parser = argparse.ArgumentParser(description="Build the Blender extension.")
     parser.add_argument("-o", "--output", type=Path, required=True, help="the zip to write")
-    parser.add_argument("--platform", choices=PLATFORMS, default=this_platform(), help="default: this one")
-    parser.add_argument("--python", choices=PYTHONS, default="3.11", help="3.11 is Blender 4.2 to 5.0, 3.13 later ones")
+    parser.add_argument("--platform", choices=PLATFORMS, default=this_platform(), help="default: this platform")
+    parser.add_argument("--python", choices=PYTHONS, default="3.11", help="3.11 for Blender 4.2 to 5.0, 3.13 for later versions")
     options = parser.parse_args()
     part = options.output.with_name(f".{options.output.name}.part")
     with tempfile.TemporaryDirectory(prefix="stss-") as folder:

@@ -67,12 +67,15 @@ def main() -> None:
     parser.add_argument("shot", type=Path, help="a .blend for Cycles")
     parser.add_argument("--frames", type=int, nargs=2, metavar=("FIRST", "LAST"), required=True)
     parser.add_argument(
-        "--samples", type=int, default=32, help="of a pixel of the small frames; the full ones have it and its halves"
+        "--samples",
+        type=int,
+        default=32,
+        help="samples a pixel of the small frames; the full frames have this number and its halves",
     )
     parser.add_argument("--truth", type=int, default=128, help="samples of the truth, which has another seed")
     parser.add_argument("--stss", default="stss", help="the command that starts stss")
-    parser.add_argument("--options", default="", help="more of stss run")
-    parser.add_argument("-o", "--out", type=Path, required=True, help="a folder that is not there")
+    parser.add_argument("--options", default="", help="further options of stss run")
+    parser.add_argument("-o", "--out", type=Path, required=True, help="a new folder")
     options = parser.parse_args()
     console = os.fdopen(os.dup(1), "w")
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # Blender's own lines

@@ -45,40 +45,50 @@ OF_MODELS = ("shapes", "files")
     "--onnx", type=ReadPath(), help="Judge a port of this network, an ONNX model, in place of ours (docs/any-network.md)."
 )
 @click.option(
-    "--shape", "shapes", metavar="NAME=N", multiple=True, help="With --onnx: the size of an open axis; else it is drawn."
+    "--shape",
+    "shapes",
+    metavar="NAME=N",
+    multiple=True,
+    help="With --onnx: the size of an open axis; without it the size is drawn.",
 )
 @click.option(
-    "--input", "files", type=Program(), metavar="NAME=FILE.npy", multiple=True, help="With --onnx: judge these inputs alone."
+    "--input", "files", type=Program(), metavar="NAME=FILE.npy", multiple=True, help="With --onnx: judge only these inputs."
 )
 @click.option("--stages", type=Names(), help="Stages to judge  [default: all that the port has]")
-@click.option("--tier", type=click.Choice(["quick", "full"]), default="quick", show_default=True, help="How many cases.")
+@click.option(
+    "--tier",
+    type=click.Choice(["quick", "full"]),
+    default="quick",
+    show_default=True,
+    help="Number and size of cases: a few, or many and large ones.",
+)
 @click.option("--size", type=Size(MOST_SIDE, MOST_PIXELS), help="Judge each stage once at this size, too.")
 @click.option(
     "--largest-side",
     type=click.IntRange(LEAST_SIDE, MOST_SIDE),
-    help="Cut cases to the most rows and columns that the port takes.",
+    help="Cut cases to the largest side that the port accepts.",
 )
 @click.option("--seed", type=click.IntRange(0, MAX_SEED), default=0, show_default=True, help="Another seed draws other cases.")
 @click.option(
     "--dtype",
     type=click.Choice(["float32", "float16", "bfloat16"]),
-    help="The port's arithmetic  [default: what the port says; float32]",
+    help="The port's arithmetic  [default: the port's own statement, else float32]",
 )
 @click.option("--winograd", is_flag=True, help="The port computes convolutions by Winograd's method: wider bounds for them.")
 @click.option(
     "--weights-version",
     type=int,
-    help="Latest version of weights that the port knows: 1, 3, 4 or 5  [default: what it says; 5]",
+    help="Latest version of weights that the port knows: 1, 3, 4 or 5  [default: the port's own statement, else 5]",
 )
 @click.option(
     "--timeout", type=Number(0, MAX_SECONDS, min_open=True), default=120, show_default=True, help="Seconds for one start."
 )
 @click.option("--require", type=Names(), help="Stages that the port must have.")
 @click.option(
-    "--repeat", type=click.IntRange(1, MAX_REPEAT), default=1, show_default=True, help="How often each case is computed."
+    "--repeat", type=click.IntRange(1, MAX_REPEAT), default=1, show_default=True, help="Compute each case this many times."
 )
 @click.option("--fail-fast", is_flag=True, help="Stop at the first failure.")
-@click.option("--known-failures", type=ReadPath(), help="JSON file: tests that may fail, each until a day and for a reason.")
+@click.option("--known-failures", type=ReadPath(), help="JSON file of tests that may fail, each with a last day and a reason.")
 @click.option(
     "--failures",
     type=WrittenFolder(),
@@ -86,7 +96,7 @@ OF_MODELS = ("shapes", "files")
     show_default=True,
     help="Folder for the cases that fail.",
 )
-@click.option("--replay", type=ReadPath(), help="Run only the case of one such folder again.")
+@click.option("--replay", type=ReadPath(), help="Run only the case of one folder of --failures again.")
 @click.option(
     "--write-cases", type=WrittenFolder(), help="Write cases with right answers and bounds into a new folder, and judge nothing."
 )
@@ -119,7 +129,7 @@ def conform(
     junit: Path | None,
     report: Path | None,
 ) -> None:
-    """Judge a port: say which stage departs from the specification, by how much, and on which smallest input.
+    """Judge a port: name the stage that departs from the specification, its error, and the smallest such input.
 
     Ends with status 0 if no stage departs, 1 if one does or nothing was judged.
     """

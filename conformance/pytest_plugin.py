@@ -31,14 +31,14 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group = parser.getgroup("stss", "a port of space-time supersampling")
     group.addoption("--port", metavar="MODULE:FACTORY", help="a Python object: package.module:factory")
     group.addoption("--exec", metavar="PROGRAM", help="a program that is called with a job folder")
-    group.addoption("--tier", choices=[*TIERS], default="quick", help="how many cases")
+    group.addoption("--tier", choices=[*TIERS], default="quick", help="the number of cases")
     group.addoption("--seed", type=int, default=0, help="another seed draws other cases")
     group.addoption("--dtype", choices=ARITHMETICS, help="the port's arithmetic")
     group.addoption("--winograd", action="store_true", help="the port computes convolutions by Winograd's method")
     group.addoption("--weights-version", type=int, help="the latest version of weights that the port knows")
     group.addoption("--start-timeout", type=float, default=120, metavar="SECONDS", help="for one start of a program")
     group.addoption(
-        "--known-failures", type=Path, metavar="FILE", help="JSON file: tests that may fail, until a day, for a reason"
+        "--known-failures", type=Path, metavar="FILE", help="JSON file of tests that may fail, each with a last day and a reason"
     )
 
 

@@ -41,7 +41,7 @@ from stss_ground.terminal import Terminal, echo
     type=Names(),
     default="pytorch,onnxruntime,openvino,openvino-default",
     show_default=True,
-    help="Other engines; ratios are to the first of them.",
+    help="Other engines; the first one is 1 in all ratios.",
 )
 @click.option("--weights", type=ReadName(), help="A .safetensors file  [default: random weights]")
 @click.option("--dark", is_flag=True, help="Colours of 1e-38, which are subnormal numbers: does the time depend on the data?")
@@ -57,7 +57,7 @@ from stss_ground.terminal import Terminal, echo
     help="With --pareto: the settings whose names contain one of these, such as float32,half off  [default: all but bfloat16]",
 )
 @click.option(
-    "--frames", type=click.IntRange(10, MAX_COUNT), default=20, show_default=True, help="With --pareto: frames a scene."
+    "--frames", type=click.IntRange(10, MAX_COUNT), default=20, show_default=True, help="With --pareto: frames of each scene."
 )
 def bench_command(
     sizes: tuple[tuple[int, int], ...],
@@ -103,7 +103,7 @@ def bench_command(
 @click.command("gpu-report", cls=Subcommand)
 @click.option("-o", "--out", type=WrittenFolder(), required=True, help="A new or an empty folder.")
 @click.option("--device", help="Part of the name of the OpenCL device  [default: the first GPU]")
-@click.option("--tiny", is_flag=True, help="Small sizes: show that every step runs, and nothing else.")
+@click.option("--tiny", is_flag=True, help="Small sizes: only check that every step runs.")
 def gpu_report_command(out: Path, device: str | None, tiny: bool) -> None:
     """Test, judge and time a GPU; the report is a folder whose README.md begins with what is wrong.
 

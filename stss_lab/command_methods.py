@@ -31,21 +31,21 @@ from stss_ground.terminal import Terminal, echo
 @click.command("methods", cls=Subcommand)
 @click.argument("sequence", type=ReadPath())
 @click.argument("truth", type=ReadPath())
-@click.option("-o", "--out", type=WrittenFolder(), required=True, help="Folder for one folder of each method.")
+@click.option("-o", "--out", type=WrittenFolder(), required=True, help="Folder, with one folder for each method.")
 @sequence_options
 @weights_option
-@click.option("--methods", type=Names(), default=(), help="Which, such as bilinear,taau,network  [default: all]")
+@click.option("--methods", type=Names(), default=(), help="The methods to run, such as bilinear,taau,network  [default: all]")
 @click.option(
     "--with",
     "others",
     type=ReadPath(),
     multiple=True,
-    help="Folder of frames that another program made of SEQUENCE: a row of the folder's name.",
+    help="Folder of frames that another program made from SEQUENCE; the row has the folder's name.",
 )
 @backend_options
 @frame_options
-@click.option("--overwrite", is_flag=True, help="Replace what an earlier run wrote.")
-@click.option("--html", type=WrittenFile(), help="File for a page to look at: every method, frame by frame; needs no network.")
+@click.option("--overwrite", is_flag=True, help="Replace the files of an earlier run.")
+@click.option("--html", type=WrittenFile(), help="File for an HTML page with every method, frame by frame; it works offline.")
 @perceptual_options
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def methods_command(

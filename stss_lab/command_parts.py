@@ -22,12 +22,12 @@ from stss_ground.terminal import Terminal
 @click.command("parts", cls=Subcommand)
 @click.argument("sequence", type=ReadPath())
 @click.argument("truth", type=ReadPath())
-@click.option("-o", "--out", type=WrittenFolder(), required=True, help="Folder for one folder of each weights.")
+@click.option("-o", "--out", type=WrittenFolder(), required=True, help="Folder, with one folder for each set of weights.")
 @sequence_options
 @click.option("--weights", type=Names(), required=True, help="Names or .safetensors files, such as realtime,arena.safetensors")
-@click.option("--parts", type=Names(), default=(), help="Which to take away: history,mask,erm,gbuffer,second  [default: all]")
+@click.option("--parts", type=Names(), default=(), help="The parts to remove: history,mask,erm,gbuffer,second  [default: all]")
 @frame_options
-@click.option("--overwrite", is_flag=True, help="Replace what an earlier run wrote.")
+@click.option("--overwrite", is_flag=True, help="Replace the files of an earlier run.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def parts_command(
     sequence: Path,
@@ -39,7 +39,7 @@ def parts_command(
     as_json: bool,
     **others: Any,
 ) -> None:
-    """Take the network's parts away, one at a time, and compare with TRUTH: does SEQUENCE look worse without?
+    """Remove the network's parts, one at a time, and compare the results with TRUTH.
 
     The history becomes three copies of the newest frame, the mask 1, the ERM's output its mean, the G-buffer 0, the second colour the
     first. The weights stay: nothing is trained. Computed by the reference.

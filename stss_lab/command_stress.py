@@ -18,7 +18,7 @@ from stss_ground.terminal import Terminal, echo
 
 
 @click.command("stress", cls=Subcommand)
-@click.option("--backend", type=click.Choice(BACKENDS), default="cl", show_default=True, help="ref: the reference alone.")
+@click.option("--backend", type=click.Choice(BACKENDS), default="cl", show_default=True, help="ref: only the reference.")
 @click.option("--device", help="Part of an OpenCL device's name (stss devices)  [default: $STSS_DEVICE, or the fastest]")
 @click.option("--weights", type=ReadName(), help="A .safetensors file  [default: random weights, different for each seed]")
 @click.option("--only", type=Names(), default="", help="Names of tables: magnitude,positions,...  [default: all]")

@@ -47,10 +47,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """``python -m training.ablate``."""
     parser = argparse.ArgumentParser(prog="python -m training.ablate", description=__doc__)
     parser.add_argument("data", type=Path, help="folder of shards, made by python -m training.samples")
-    parser.add_argument("--rows", nargs="+", choices=ROWS, default=ROWS, help="what is left out")
+    parser.add_argument("--rows", nargs="+", choices=ROWS, default=ROWS, help="the parts to leave out, one a row")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
     parser.add_argument("--steps", type=int, default=1200)
-    parser.add_argument("--augment", choices=AUGMENTS, default="all", help="what of a crop is changed; none: for one scene")
+    parser.add_argument("--augment", choices=AUGMENTS, default="all", help="changes of the crops; none: for one scene")
     parser.add_argument("--most", type=int, default=24, help="validation frames of each kind")
     options = parser.parse_args(arguments)
     shards = load_shards(options.data)

@@ -263,16 +263,18 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("-o", "--out", type=Path, required=True, help="folder of the shards")
     parser.add_argument("--analytic", type=int, metavar="N", help="make N random analytic films")
     parser.add_argument("--first", type=int, default=0, help="number of the first film")
-    parser.add_argument("--inputs", choices=tuple(INPUTS), default="aliased", help="what of the films is a mean over the pixel")
-    parser.add_argument("--size", default="160x96", help="WxH of the low resolution of the films")
+    parser.add_argument(
+        "--inputs", choices=tuple(INPUTS), default="aliased", help="the inputs of the films that are means over the pixel"
+    )
+    parser.add_argument("--size", default="160x96", help="WxH of the films' small frames")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     parser.add_argument("--hole-fill", choices=HOLE_FILLS, default=HOLE_FILLS[0], help="the stage that fills the holes")
     parser.add_argument("--sequence", nargs=2, type=Path, metavar=("LR", "HR"), help="frames of a renderer and their truth")
-    parser.add_argument("--profile", help="the renderer's conventions; default: what the channels' names fit")
+    parser.add_argument("--profile", help="the renderer's conventions; default: the profile that fits the channels' names")
     parser.add_argument("--camera", type=Path)
-    parser.add_argument("--name", help="of the shard; default: that of the folder above LR")
+    parser.add_argument("--name", help="name of the shard; default: that of the folder above LR")
     parser.add_argument("--scene", help="sequences of one scene go into one split; default: the name")
-    parser.add_argument("--split", choices=SPLITS, help="default: drawn from the scene's name, 8 : 1 : 1")
+    parser.add_argument("--split", choices=SPLITS, help="the shard's split; default: drawn from the scene's name, 8 : 1 : 1")
     options = parser.parse_args(arguments)
     options.out.mkdir(parents=True, exist_ok=True)
     if options.sequence:

@@ -228,12 +228,12 @@ def options() -> argparse.ArgumentParser:
     parser.add_argument(
         "--initial", help="start from a safetensors file, realtime or antialiased; default: near bilinear, the rest random"
     )
-    parser.add_argument("--squares", type=float, default=0.0, help="share of the squared error in the loss, for PSNR's sake")
-    parser.add_argument("--structure", type=float, default=STRUCTURE, help="the perceptual distance is so many times 1 - SSIM")
-    parser.add_argument("--structure-ef", type=float, metavar="F", help="the same for EFs, where it is another")
+    parser.add_argument("--squares", type=float, default=0.0, help="share of the squared error in the loss; raises PSNR")
+    parser.add_argument("--structure", type=float, default=STRUCTURE, help="factor of 1 - SSIM, the perceptual distance")
+    parser.add_argument("--structure-ef", type=float, metavar="F", help="the same for EFs, if it differs")
     parser.add_argument("--extrapolated", type=float, default=0.5, help="share of EFs in the squared error")
-    parser.add_argument("--holes", type=float, default=1.0, help="how often reshading regions count in the squared error")
-    parser.add_argument("--steady", type=float, default=0.0, metavar="F", help="how much flicker counts, beside the other errors")
+    parser.add_argument("--holes", type=float, default=1.0, help="factor of reshading regions in the squared error")
+    parser.add_argument("--steady", type=float, default=0.0, metavar="F", help="factor of flicker, beside the other errors")
     parser.add_argument("--no-masking", dest="masking", action="store_false", help="without Random Reshading Masking")
     parser.add_argument("--no-history", dest="history", action="store_false", help="weights that do not read the history")
     parser.add_argument(
@@ -245,16 +245,16 @@ def options() -> argparse.ArgumentParser:
     parser.add_argument(
         "--second-color",
         choices=SECOND_COLORS,
-        help="what the network's second colour shows; default: as in --initial, or newest",
+        help="content of the network's second colour; default: as in --initial, or newest",
     )
-    parser.add_argument("--compile", action="store_true", help="compile a step: a third faster, wants a C++ compiler")
+    parser.add_argument("--compile", action="store_true", help="compile a step: a third faster, needs a C++ compiler")
     parser.add_argument("--validate", type=int, default=1000, metavar="STEPS")
     parser.add_argument("--log", type=int, default=100, metavar="STEPS")
     parser.add_argument("--most", type=int, default=32, help="validation frames of each kind")
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
     parser.add_argument("--half", choices=("auto", "on", "off"), default="auto", help="bfloat16; auto: on GPUs")
-    parser.add_argument("--threads", type=int, default=0, help="of the CPU; 0: PyTorch's choice")
-    parser.add_argument("--resume", action="store_true", help="go on from the run's checkpoint, if there is one")
+    parser.add_argument("--threads", type=int, default=0, help="threads of the CPU; 0: PyTorch's choice")
+    parser.add_argument("--resume", action="store_true", help="continue from the run's checkpoint, if there is one")
     return parser
 
 

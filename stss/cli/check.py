@@ -24,10 +24,10 @@ from stss_ground.terminal import Terminal
 @click.command(cls=Subcommand)
 @click.argument("sequence", type=ReadPath())
 @sequence_options
-@click.option("--frames", type=FrameRange(), help="First and last frame to look at.")
+@click.option("--frames", type=FrameRange(), help="First and last frame to check.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def check(sequence: Path, reading: SequenceOptions, frames: tuple[int, int] | None, as_json: bool) -> None:
-    """Say what SEQUENCE holds and whether it can be run.
+    """List the contents of SEQUENCE, and say whether it can be run.
 
     Ends with status 0 when it can, 1 when it can but something looks wrong, 2 when it cannot.
     """

@@ -28,15 +28,13 @@ from stss_ground.terminal import Terminal, echo
 @click.argument("truth", type=ReadPath())
 @click.option("--frames", type=FrameRange(), help="First and last frame to compare.")
 @click.option(
-    "--html", type=WrittenFile(), help="File for a page to look at: slider, flicker, difference, plots; needs no network."
+    "--html", type=WrittenFile(), help="File for an HTML page with slider, flicker, difference and plots; it works offline."
 )
-@click.option(
-    "--sequence", type=ReadPath(), help="The input of OUT: flicker is measured along its motion, and the page shows it."
-)
+@click.option("--sequence", type=ReadPath(), help="The input of OUT: its motion gives the flicker, and the page shows it.")
 @click.option(
     "--holes",
     type=ReadPath(),
-    help="The folder of another run, over whose holes to score: two runs may differ in theirs, another program's frames have none.",
+    help="Folder of another run: score over its holes, since two runs may have different ones and another program's frames none.",
 )
 @sequence_options
 @perceptual_options

@@ -20,11 +20,13 @@ from stss_ground.terminal import Terminal, echo
 @click.command(cls=Subcommand)
 @click.argument("parts", type=ReadPath())
 @click.option("-o", "--out", type=WrittenFolder(), required=True, help="Folder for the frames.")
-@click.option("--sequence", type=ReadPath(), help="The frames that the parts were made from: nothing is written there.")
-@click.option("--frames", type=FrameRange(), help="First and last frame that must be there then  [default: those that are]")
-@click.option("--overwrite", is_flag=True, help="Replace what an earlier run wrote.")
+@click.option("--sequence", type=ReadPath(), help="The input frames of the parts: nothing is written there.")
+@click.option(
+    "--frames", type=FrameRange(), help="First and last frame that must be there afterwards  [default: those of the parts]"
+)
+@click.option("--overwrite", is_flag=True, help="Replace the files of an earlier run.")
 def gather(parts: Path, out: Path, sequence: Path | None, frames: tuple[int, int] | None, overwrite: bool) -> None:
-    """Move the frames of runs with --frames, each in a folder below PARTS, into one folder, as one run would have left it.
+    """Move the frames of partial runs (--frames), each in a folder below PARTS, into one folder like that of one run.
 
     Ends with status 1 where a frame is missing.
     """

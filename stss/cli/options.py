@@ -89,21 +89,21 @@ def sequence_options(command: Command) -> Command:
         click.option(
             "--profile",
             type=ReadName(),
-            help="The renderer's conventions: a name or a TOML file  [default: what the channels' names fit]",
+            help="The renderer's conventions: a name or a TOML file  [default: the profile that fits the channels' names]",
         ),
         click.option(
             "--camera",
             type=ReadPath(),
             help="CSV of frame,x,y,z in the sequence's unit of length  [default: from the files, or from position and depth]",
         ),
-        click.option("--metallic", type=Number(0, 1), help="Constant, for files that have none."),
-        click.option("--roughness", type=Number(0, 1), help="Constant, for files that have none."),
+        click.option("--metallic", type=Number(0, 1), help="A constant, for files without this buffer."),
+        click.option("--roughness", type=Number(0, 1), help="A constant, for files without this buffer."),
         click.option(
             "--background",
             type=click.Choice(BACKGROUNDS),
             default="files",
             show_default=True,
-            help="Where the background's motion is from: camera computes it where the files lack it.",
+            help="Source of the background's motion: camera computes it, for files without it.",
         ),
         click.option(
             "--non-finite",
@@ -123,23 +123,23 @@ def frame_options(command: Command) -> Command:
         click.option(
             "--rendered",
             type=click.Choice(["even", "odd", "all"]),
-            help="Which frames to take as rendered  [default: those with colour; where all have it, every second of each shot]",
+            help="The frames to take as rendered  [default: those with colour; if all have it, every second of each shot]",
         ),
         click.option(
-            "--cuts", type=FrameNumbers(), default=(), metavar="a,b,...", help="The first frame of each shot but the first."
+            "--cuts", type=FrameNumbers(), default=(), metavar="a,b,...", help="The first frame of each shot except the first."
         ),
         click.option(
             "--also",
             type=Names(),
             default=(),
             metavar="NAME,...",
-            help="Layers or channels to warp and enlarge beside the colour, without the network; alpha is taken along anyway.",
+            help="Layers or channels to warp and enlarge beside the colour, without the network; alpha is always included.",
         ),
         click.option("--frames", type=FrameRange(), help="First and last frame to write; earlier ones still serve as history."),
         click.option(
             "--transfer",
             type=TransferName(TRANSFERS),
-            help="From the files' colour to the network's"
+            help="Transfer from the files' colour to the network's"
             "  [default: srgb for scene-linear files, none for display-referred ones]",
         ),
         click.option("--depth", type=click.Choice(["clip", "scale"]), help="How depth is normalised  [default: the profile's]"),
@@ -169,14 +169,14 @@ def backend_options(command: Command) -> Command:
             "--memory-limit",
             type=click.IntRange(1, MAX_MIB),
             metavar="MIB",
-            help="Memory for the network's buffers; larger frames go in strips  [default: half of the device's memory]",
+            help="Memory for the network's buffers; larger frames are computed in strips  [default: half of the device's memory]",
         ),
         click.option(
             "--skip",
             type=click.Choice(SKIPS),
             default="exact",
             show_default=True,
-            help="off: compute everything; exact: reuse what did not change, with the same bits.",
+            help="off: compute everything; exact: do not compute unchanged parts again, with the same bits.",
         ),
     )
     decorated: Any = grouped("The device", *options)(collected)
@@ -188,7 +188,7 @@ weights_option = click.option(
     type=ReadName(),
     default=AUTO,
     show_default=True,
-    help="realtime or antialiased, which come with stss; a .safetensors file; bilinear: no network; auto: what suits the frames.",
+    help="realtime or antialiased, which come with stss; a .safetensors file; bilinear: no network; auto: the set that suits the frames.",
 )
 
 

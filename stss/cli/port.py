@@ -15,8 +15,8 @@ from stss_ground.option_kinds import ReadPath
 @click.command(cls=Subcommand)
 @click.argument("job", type=ReadPath(), required=False)
 @click.option("--backend", type=click.Choice(["ref", "cl"]), default="ref", show_default=True)
-@click.option("--dump", is_flag=True, help="Leave what each layer of the network gives, too: folder layers of a case.")
-@click.option("--serve", is_flag=True, help="Compute the jobs whose folders come on standard input, a line each.")
+@click.option("--dump", is_flag=True, help="Write the output of each layer of the network, too: folder layers of a case.")
+@click.option("--serve", is_flag=True, help="Read the folders of jobs from standard input, one a line, and compute each.")
 def port(job: Path | None, backend: str, dump: bool, serve: bool) -> None:
     """Compute every case of the folder JOB, as any port does: see docs/ports.md."""
     from stss.port import run_job

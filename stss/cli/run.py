@@ -45,8 +45,8 @@ from stss_ref.schedule import FrameKind
 @backend_options
 @frame_options
 @click.option("--format", "suffix", type=click.Choice(["exr", "png"]), default="exr", show_default=True)
-@click.option("--resume", is_flag=True, help="Keep the frames of an earlier run that are still right.")
-@click.option("--overwrite", is_flag=True, help="Replace what an earlier run wrote.")
+@click.option("--resume", is_flag=True, help="Go on after a stop: keep frames of the earlier run that are still right.")
+@click.option("--overwrite", is_flag=True, help="Replace the files of an earlier run.")
 @click.option("--cluster", help="Compute on local:N processes, or on the workers of a scheduler: tcp://host:8786.")
 @click.option("--keep-going", is_flag=True, help="Leave out frames that cannot be read; ends with status 1.")
 def run(

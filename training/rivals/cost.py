@@ -63,7 +63,9 @@ def runner(engine: str, network: nn.Module, inputs: tuple[Tensor, ...], threads:
 def main(arguments: Sequence[str] | None = None) -> None:
     """``python -m training.rivals.cost``."""
     parser = argparse.ArgumentParser(prog="python -m training.rivals.cost", description=__doc__)
-    parser.add_argument("--size", nargs="+", default=["1280x720", "1920x1080", "3840x2160"], metavar="WxH", help="of the output")
+    parser.add_argument(
+        "--size", nargs="+", default=["1280x720", "1920x1080", "3840x2160"], metavar="WxH", help="sizes of the output"
+    )
     parser.add_argument("--rows", nargs="+", choices=ROWS, default=ROWS)
     parser.add_argument("--engines", nargs="+", default=("pytorch", "openvino"))
     parser.add_argument("--repeat", type=int, default=5)

@@ -240,7 +240,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("truth", type=Path)
     parser.add_argument("-o", "--out", type=Path, required=True, help="folder for one folder of frames of each method")
     parser.add_argument("--extranet", type=Path, help="weights of python -m training.rivals.train")
-    parser.add_argument("--nsrr", type=Path, help="likewise")
+    parser.add_argument("--nsrr", type=Path, help="the same for NSRR")
     parser.add_argument("--authors", type=Path, help="medieval.pth.tar of fuxihao66/ExtraNet, for the method authors")
     parser.add_argument("--wgsl", type=Path, help="a checkout of pmndrs/upscaler, for the method wgsl")
     parser.add_argument("--nss", type=Path, help="nss_v0_1_1_int8.vgf of Arm's SDK, for the method nss")
@@ -248,9 +248,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     methods = (*CHAINS, EVERY, *BETWEEN, "wgsl", "nss", *METHODS, NETWORK)
     parser.add_argument("--methods", nargs="+", choices=methods, default=(*CHAINS[:5], "bilinear", NETWORK))
     parser.add_argument("--camera", type=Path)
-    parser.add_argument(
-        "--jitter", type=Path, help=f"CSV of frame,x,y: how far the picture is shifted, in pixels; for {JITTERED}"
-    )
+    parser.add_argument("--jitter", type=Path, help=f"CSV of frame,x,y: the shift of the image in pixels; for {JITTERED}")
     parser.add_argument("--rendered", choices=("even", "odd", "all"))
     parser.add_argument("--frames", type=int, nargs=2, metavar=("FIRST", "LAST"))
     parser.add_argument("--full", action="store_true", help="FLIP, VMAF, ColorVideoVDP and LPIPS too")
