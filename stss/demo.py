@@ -52,7 +52,7 @@ _CHANNELS: Mapping[str, tuple[str, ...]] = {
 }
 _HALF = ("R", "G", "B", *_CHANNELS["base_color"], *_CHANNELS["roughness"], *_CHANNELS["metallic"])
 _MEANINGS = {
-    "bilinear": "The newest rendered frame, warped to now in an EF, enlarged bilinearly: the method without its network.",
+    "bilinear": "The newest rendered frame, in an EF warped to the current one, enlarged bilinearly: the method without its network.",
     "output": "Made by stss.",
 }
 

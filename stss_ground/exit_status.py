@@ -51,7 +51,7 @@ def run_guarded(command: click.Command, *mistakes: type[Exception]) -> None:
         if error.errno == errno.ENOMEM:
             _fail(_NO_MEMORY)
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # the rest of the buffer would fail again
-        _fail(f"what was printed cannot be written: {error.strerror}" if error.errno in _FULL else f"{error.strerror or error}")
+        _fail(f"standard output cannot be written: {error.strerror}" if error.errno in _FULL else f"{error.strerror or error}")
     sys.exit(status if isinstance(status, int) else 0)
 
 

@@ -171,7 +171,7 @@ def sequence_samples(low: Path, high: Path, profile: str | None, camera: Path | 
     window: list[DisplayFrame] = []
     for number in sequence.numbers:
         if number not in sequence.rendered:
-            raise InputError(f"{low}: frame {number} has no colour; training needs that of every frame")
+            raise InputError(f"{low}: frame {number} has no colour; training needs the colour of every frame")
         if window and number != window[-1].number + 1:
             window.clear()
         window = [*window[1 - WINDOW :], prepare(sequence.load(number), curve, "scale")]

@@ -56,7 +56,7 @@ def _counted(judge: Judge, body: Body, failure: Failure) -> Failure:
         times += 1
         if (again := fails(judge, body, failure)) is not None:
             latest, times_wrong = again, times_wrong + 1
-    return _with_words(latest, f"{UNSTABLE}: {times_wrong} of {times}, alone")
+    return _with_words(latest, f"{UNSTABLE}: alone it is wrong {times_wrong} of {times} times")
 
 
 def fails(judge: Judge, body: Body, failure: Failure) -> Failure | None:

@@ -145,7 +145,7 @@ def _distance(mistake: Mistake, answered: _Answered) -> float:
 
 def _named(matches: list[tuple[float, Mistake]], tried: int) -> str:
     if not tried:
-        return "no mistake of this stage is known that it could look like"
+        return "no mistake of this stage is known to compare with"
     if not matches:
         return f"looks like none of the {tried} mistakes that were compared"
     matches.sort(key=lambda each: each[0])

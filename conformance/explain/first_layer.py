@@ -28,14 +28,14 @@ def first_departure(judge: Judge, finding: Finding) -> str:
     except (ArrayError, PortError) as error:
         return f"its layers cannot be read: {error}"
     if not got:
-        return "it hands over no layers, of which the first that departs would be named" if case.stage in ASKED_FOR else ""
+        return "the port returns no layers, so the first that departs cannot be named" if case.stage in ASKED_FOR else ""
     right = expect_layers(case.stage, judge.exactly(case.inputs, case.stage), case.weights, judge.arithmetic)
     there = [name for name in specs if name in got]
     for i, name in enumerate(there):
         if (worst := largest(closer := right[name].closer(got[name]), got[name])) > 1:
             before = f"; the {i} before it are right" if i > 1 else f"; {there[0]} before it is right" if i else ""
             return f"first departs at layer {describe(name, got[name], closer, worst)}{before}"
-    return f"none of the {len(there)} layers that it hands over departs"
+    return f"none of the {len(there)} layers that the port returns departs"
 
 
 def _handed_over(judge: Judge, finding: Finding) -> Outputs:

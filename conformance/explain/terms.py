@@ -120,7 +120,10 @@ def _holes(inputs: Inputs, y: int, x: int) -> list[Term]:
     rows, columns = (four.y0, four.y1), (four.x0, four.x1)
     here, previous = inputs["position"][y, x], inputs["position_previous"]
     static = [
-        ("static, as that is 0: positions read", " ".join(_shown(previous[j[y, x], i[y, x]]) for j in rows for i in columns)),
+        (
+            "static, since its stencil is 0: positions read",
+            " ".join(_shown(previous[j[y, x], i[y, x]]) for j in rows for i in columns),
+        ),
         ("position now", _shown(here)),
     ]
     if hole_test(inputs["paper"]) == "paper":

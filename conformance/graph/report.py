@@ -54,8 +54,8 @@ def lines_of(outcome: Outcome) -> list[str]:
     derived = [name for name, tensor in outcome.tensors.items() if not tensor.is_own]
     if derived:
         more.append(
-            f"{len(derived)} tensors are made of some that were not handed over, such as {derived[0]}: "
-            "their bounds are estimates from random changes, some 100 times what rounding does"
+            f"{len(derived)} tensors, such as {derived[0]}, depend on tensors that the port did not return: "
+            "their bounds are estimates from random changes, about 100 times the rounding"
         )
     if fused := [name for name, tensor in outcome.tensors.items() if tensor.fused]:
         more.append(

@@ -35,7 +35,7 @@ from stss_ground.errors import InputError
 
 TIERS = {"quick": 8, "full": 40}
 """Tier -> most cases."""
-FORGETS = "the same case alone is right: the port keeps something from call to call"
+FORGETS = "the same case alone is right: the port keeps state from call to call"
 MOST_LINES = 12
 """Most lines of a port's error that are shown."""
 
@@ -270,7 +270,7 @@ def _require_numbers(model: Model, tensors: Mapping[str, Any]) -> None:
 def _lines(wrong: Judgement, rows: Sequence[Judgement], ends: Sequence[Judgement], rounding: Rounding) -> list[str]:
     """The first tensor that departs, its likely cause, its worst number, and its effect on the outputs."""
     before = sum(row.ratio <= 1 for row in rows[: rows.index(wrong)]) if wrong in rows else 0
-    kind = "introduced here" if wrong.is_own else "made here or in nodes before it whose tensors were not handed over"
+    kind = "introduced here" if wrong.is_own else "introduced here, or in nodes before it whose tensors the port did not return"
     lines = [
         f"first departs at {wrong.tensor} ({wrong.node.op}), behind {before} right tensors: error / bound {wrong.ratio:.3g}, "
         f"rms / bound {wrong.rms:.3g}, {kind}"

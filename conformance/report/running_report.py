@@ -74,7 +74,7 @@ class RunningReport:
 
     def _told_early(self, finding: Finding) -> None:
         """A failure that is still made smaller."""
-        echo(f"fails, and is made smaller: {finding.message}")
+        echo(f"fails; its case is being made smaller: {finding.message}")
 
     def finish(self, page: Path | None, junit: Path | None = None) -> bool:
         """Print and write the whole report, even of a run that was stopped.

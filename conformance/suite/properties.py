@@ -120,7 +120,7 @@ def keeps_nothing_by_a_part(stage: str) -> Test:
         answers = yield questions
         judge.compare(stage, *first[1:], answers[0])
         for (what, inputs, weights), outputs in zip(others, answers[1::2], strict=True):
-            judge.record.about = f"the call before differs in this alone: {what}"
+            judge.record.about = f"the previous call differs only in this: {what}"
             judge.compare(stage, inputs, weights, outputs)
         judge.record.about = ""
 

@@ -185,7 +185,7 @@ class SuitePlugin:
         lacks_all = all(result.outcome == "skipped" for result in self.results if result.id != REQUIRED)
         lacking = f"the port has none of the stages asked for: {', '.join(stages)}"
         message = f"nothing was judged: {lacking if lacks_all else 'rounding decided on every answer'}"
-        self._add(JUDGED, "At least one answer of the port is held against what is right.", message)
+        self._add(JUDGED, "At least one answer of the port is compared with the right one.", message)
 
     def _add(self, name: str, words: str, message: str) -> None:
         """A failure of the run as a whole."""

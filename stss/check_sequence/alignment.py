@@ -53,8 +53,8 @@ def _shown(ratios: list[Array]) -> list[Line]:
     best = int(np.argmax(others))
     if not others[best] > own + CLEARLY:
         return []
-    text = f"colour: its edges are not those of base colour and normal; it looks as if {OTHERWISE[best]}"
-    return [("warning", f"{text} (correlation {others[best]:.2f}, as it is {own:.2f})")]
+    text = f"colour: its edges do not match those of base colour and normal; it looks as if {OTHERWISE[best]}"
+    return [("warning", f"{text} (correlation {others[best]:.2f}, now {own:.2f})")]
 
 
 def _encoded(steps: Array, *, linear: bool) -> list[Line]:

@@ -30,7 +30,7 @@ def camera_lines(sequence: Sequence, number: int) -> list[Line]:
     away = float(np.median(np.linalg.norm(position[seen] - solved.pose.position, axis=-1)))
     apart = float(np.linalg.norm(pose.position - solved.pose.position)) / away
     if apart <= APART:
-        return [("note", f"camera: the one given agrees with position and depth (frame {number})")]
+        return [("note", f"camera: --camera agrees with position and depth (frame {number})")]
     words = ["(" + ", ".join(f"{x:.4g}" for x in place) + ")" for place in (pose.position, solved.pose.position)]
     return [
         (

@@ -197,10 +197,10 @@ def data_windows(sequence: Sequence, numbers: list[int]) -> list[CheckFinding]:
         around = (display.x - canvas.x, display.y - canvas.y)
         around += canvas.width - display.width - around[0], canvas.height - display.height - around[1]
         left, top, right, bottom = around
-        text = f"overscan: {left} pixels left, {right} right, {top} above, {bottom} below; it is read and made too"
+        text = f"overscan: {left} pixels left, {right} right, {top} above, {bottom} below; it is read and computed, too"
         findings.append(CheckFinding("note", text))
     if cropped:
-        text = f"data windows: cropped in frames {_listed(cropped, len(cropped))}; outside nothing was hit"
+        text = f"data windows: cropped in frames {_listed(cropped, len(cropped))}; nothing was hit outside"
         findings.append(CheckFinding("note", text))
     return findings
 
@@ -212,10 +212,10 @@ def _every_color(sequence: Sequence, numbers: list[int]) -> CheckFinding:
         return CheckFinding("note", "colour: in every frame; a half-rate run uses every second one")
     if max(others) < min(own):
         few, many = max(others), min(own)
-        text = f"colour: every second frame from {numbers[0]} on; the others are G-buffer frames, of {few} samples for {many}"
+        text = f"colour: every second frame from {numbers[0]} on; the others are G-buffer frames, of {few} samples in place of {many}"
         return CheckFinding("note", text)
     if max(own) < min(others):
-        text = f"colour: half of the frames are G-buffer frames, of {max(own)} samples for {min(others)}, {numbers[0]} among them"
+        text = f"colour: half of the frames are G-buffer frames, of {max(own)} samples in place of {min(others)}, {numbers[0]} among them"
         return CheckFinding("warning", f"{text}; say --rendered {'odd' if numbers[0] % 2 == 0 else 'even'}")
     counts = ", ".join(map(str, sorted(own | others)))
     return CheckFinding("warning", f"colour: frames of different numbers of samples ({counts}), not every second one")

@@ -86,7 +86,7 @@ class StaticVerdict:
             return [
                 (
                     "note",
-                    f"position: no camera sees them where they are, to {self.residual:.2g} pixels; nothing was proved by them",
+                    f"position: no camera fits them better than to {self.residual:.2g} pixels; they prove nothing",
                 )
             ]
         return [*self._motion(), *self._holes(), *self._others()]
@@ -96,8 +96,8 @@ class StaticVerdict:
             return [
                 (
                     "warning",
-                    "position: relative to the camera, or in view space: it is at (0, 0, 0) in every frame, and motion says that it "
-                    "moves; holes will be wrong: write world positions, which have the camera's added",
+                    "position: relative to the camera, or in view space: the camera is at (0, 0, 0) in every frame, but motion says that "
+                    "it moves; holes will be wrong: write world positions, with the camera's position added",
                 )
             ]
         over = f"by the positions of {self.pixels} static pixels"
@@ -116,21 +116,21 @@ class StaticVerdict:
     def _others(self) -> list[Line]:
         lines: list[Line] = []
         if self.agrees and self.movers > MOVERS:
-            text = f"stencil: 0 on {self.movers:.1%} of the surfaces though they move, by their motion and unlike the rest"
+            text = f"stencil: 0 on {self.movers:.1%} of the surfaces, though their motion shows that they move"
             lines.append(("warning", f"{text}: give every moving object a number above 0, or is their motion wrong?"))
         if self.depth < 0:
             lines.append(
-                ("warning", "depth: falls with the distance that positions have; expected linear depth, it looks reversed")
+                ("warning", "depth: falls where the distance of positions grows; expected linear depth, it looks reversed")
             )
         elif self.depth > PROPORTIONAL:
-            text = f"depth: {self.depth:.0%} off what is proportional to the distance along the view that positions have"
+            text = f"depth: {self.depth:.0%} off a depth in proportion to the view distance of positions"
             lines.append(("warning", f"{text}; expected linear depth, not that of a depth buffer"))
         along, turned = self.normals
         if along < DISAGREE and turned > AGREE:
             lines.append(
                 (
                     "warning",
-                    "normal: in another space than positions, by a turn; expected world space of both: is one the camera's?",
+                    "normal: rotated against positions; expected both in world space: is one in the camera's space?",
                 )
             )
         return lines
@@ -161,7 +161,7 @@ class BackgroundVerdict:
             (
                 "warning",
                 f"background: its motion is {error}, though the camera turns by {self.turns:.2g} pixels a frame: EFs lose up to 5 dB. "
-                "Write the motion of what is infinitely far away, which depends on the turn alone, or give --background camera",
+                "Write the motion of infinitely far points, which depends only on the rotation, or give --background camera",
             )
         ]
 
@@ -184,9 +184,9 @@ class StaticGeometry:
 
     def lines(self) -> list[Line]:
         """Findings."""
-        repeated = f"position: in frames {', '.join(map(str, self.repeated))} that of the frame before, again"
+        repeated = f"position: frames {', '.join(map(str, self.repeated))} repeat that of the frame before"
         return [
-            *([("warning", f"{repeated}; every display frame needs a G-buffer of its own")] if self.repeated else []),
+            *([("warning", f"{repeated}; every display frame needs its own G-buffer")] if self.repeated else []),
             *([] if self.positions is None else self.positions.lines()),
             *([] if self.background is None else self.background.lines()),
             *(("warning", text) for text in self.jitter.lines),
@@ -320,7 +320,7 @@ def _guesses(motion: Array, reversed_rows: Array, size: tuple[int, int], *, mirr
     signs = {"": (1, 1), "from the frame before to this one": (-1, -1), "with y up": (1, -1), "with x to the left": (-1, 1)}
     guesses = {", ".join(filter(None, (a, b))): motion * scale * sign for a, scale in scales.items() for b, sign in signs.items()}
     guesses["x and y swapped"] = motion[:, ::-1]
-    guesses["upside down: its rows alone, from the bottom to the top"] = reversed_rows
+    guesses["upside down: only its rows run from the bottom to the top"] = reversed_rows
     if mirrored:  # or the world is left-handed, but then y is right
         guesses["right if the file is upside down"] = guesses.pop("with y up")
     return guesses

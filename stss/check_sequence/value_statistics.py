@@ -118,7 +118,7 @@ class Values:
     def lines(self, sequence: Sequence, non_finite: NonFinite) -> list[Line]:
         """Findings."""
         if not self._counts["pixels"]:
-            return [("note", "no frame is complete, so no values were looked at")]
+            return [("note", "no frame is complete, so no values were checked")]
         return [
             *self._non_finite_lines(non_finite),
             *self._geometry_lines(sequence),

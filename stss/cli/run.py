@@ -68,9 +68,9 @@ def run(
     if frames.one_view:
         _tell(frames.one_view)
     if frames.solves_camera:
-        _tell("camera: from position and depth; --camera CSV takes one")
+        _tell("camera: from position and depth; --camera CSV gives another")
     if reading.background == "camera":
-        _tell("background: its motion is computed from the camera, which positions show; the files' is not used")
+        _tell("background: its motion is computed from the camera that positions give; the files' motion is not used there")
     options = RunOptions.of(frames.profile, format=suffix, **others)
     if suffix == "png":
         _tell_of_png(frames, options)

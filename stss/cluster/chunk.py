@@ -136,7 +136,7 @@ def compute_chunk(work: Work, numbers: list[int]) -> Chunk:
 
 def _open(work: Work) -> tuple[Backend, str]:
     if work.version != VERSION:
-        raise InputError(f"a worker has stss {VERSION}; expected {work.version}, as where the run was started")
+        raise InputError(f"a worker has stss {VERSION}; expected {work.version}, as on the machine that started the run")
     engine = work.engine
     key = f"{engine.loaded.label} {engine.backend} {engine.compute}"
     if key not in _opened:

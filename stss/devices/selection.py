@@ -70,7 +70,7 @@ def choose(name: str | None = None, tell: Tell = lambda line: None, *, trial: st
                 tell(f"not used: {line}")
             return open_handle(devices[max(passed, key=lambda n: verdicts[n].gflops)])
     anew = "stss devices --again" if all(verdicts[n].lasting for n in verdicts) else "the next start"
-    raise DeviceError(f"self-test: {'; '.join(refused)}: {anew} tests anew, STSS_TRUST_DEVICE=1 uses it all the same")
+    raise DeviceError(f"self-test: {'; '.join(refused)}: {anew} tests again, STSS_TRUST_DEVICE=1 uses a device without a test")
 
 
 def rows(*, again: bool = False, tell: Tell = lambda line: None) -> list[Row]:

@@ -34,9 +34,7 @@ class _Plane(NamedTuple):
 
 def float_hint(dtype: np.dtype[Any]) -> str:
     """How to make floating-point numbers of a plane that has none."""
-    most = {"uint8": "8-bit values by 255", "uint16": "16-bit values by 65535"}.get(
-        dtype.name, "values by the one that stands for 1"
-    )
+    most = {"uint8": "8-bit values by 255", "uint16": "16-bit values by 65535"}.get(dtype.name, "values by the one that means 1")
     return f"divide {most}"
 
 

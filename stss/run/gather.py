@@ -165,7 +165,7 @@ def _checked(
         name = place.partition("/")[2]
         if name != SUMS and name not in sums:
             if target.sums().get(name) != digest or not target.holds(name):
-                raise InputError(f"{target.path / name}: not as {MARK} says of {place}: repeat the gather that was stopped first")
+                raise InputError(f"{target.path / name}: not as {MARK} says of {place}: first repeat the gather that was stopped")
             sums[name] = digest
     return sums, lists
 

@@ -150,7 +150,7 @@ class Sequence:
         if before is None or now is None:
             number = buffers.number - (now is not None)
             raise InputError(
-                f"{self._where(buffers.number)}: --background camera: positions of what stands still in frame {number} do not give the "
+                f"{self._where(buffers.number)}: --background camera: positions of static geometry in frame {number} do not give the "
                 "camera; write the background's motion into the files"
             )
         motion = np.where(missed, background_motion(before, now, self.size), buffers.motion)

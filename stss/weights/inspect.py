@@ -135,7 +135,9 @@ def print_inspection(inspection: Inspection, console: Console) -> None:
             *(layer.name, layer.component, shape),
             *(f"{layer.parameters:,}", f"{row.multiply_adds / 1e6:,.1f}", f"{row.largest:.4g}"),
         )
-    components = _table("What each component adds, upsampling included", ("component",), ("parameters, K", "mult-adds, G"))
+    components = _table(
+        "Parameters and cost of each component, upsampling included", ("component",), ("parameters, K", "mult-adds, G")
+    )
     for part in inspection.components:
         components.add_row(part.name, f"{part.parameters / 1e3:.2f}", f"{part.multiply_adds / 1e9:.2f}")
     console.print(layers, components)
@@ -150,7 +152,7 @@ def print_inspection(inspection: Inspection, console: Console) -> None:
         console.print("units that run:", ", ".join(f"{units} of {layer.outputs} of {layer.name}" for units, layer in parts))
     if inspection.tiny:
         console.print(f"taken for 0: {inspection.tiny} numbers below {TINY:.0e}, of which {inspection.subnormal} are subnormal")
-    what = "what warped frames show within a pixel" if inspection.second_color == "detail" else "the newest frame"
+    what = "the details of warped frames within a pixel" if inspection.second_color == "detail" else "the newest frame"
     console.print(f"second colour: {inspection.second_color}, {what}")
     console.print(f"hole test: {inspection.hole_test}; holes are filled by: {inspection.hole_fill}")
 

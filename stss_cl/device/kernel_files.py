@@ -71,7 +71,7 @@ def mend(folder: Path) -> None:
             damaged += 1
     if damaged:
         total = damaged + whole + len(files)
-        echo(f"kernel cache {folder}: {damaged} of {total} files are damaged, and built anew", err=True)
+        echo(f"kernel cache {folder}: {damaged} of {total} files are damaged and are built again", err=True)
     if listed != files:
         _write(folder, files)
     atexit.register(partial(_remember, folder, set(files), boot))

@@ -38,7 +38,7 @@ def move_aside(path: Path) -> None:
     """Give a file or folder that is in the way, and somebody else's, another name, and say so."""
     aside = next(place for n in count(1) if not os.path.lexists(place := path.with_name(f"{path.name}.{n}.aside")))
     path.rename(aside)
-    echo(f"{path}: not as {SUMS} says, so somebody else's: moved to {aside.name}", err=True)
+    echo(f"{path}: not as {SUMS} says, so another program wrote it: moved to {aside.name}", err=True)
 
 
 def digest_of(path: Path) -> str:

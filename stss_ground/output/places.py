@@ -49,7 +49,7 @@ def require_places(
             for place in folder.folders():
                 if any(same_place(place, path) for path in among):
                     raise InputError(f"{place}: the folder of the frames that are read; expected another one")
-    owners |= {key: f"{path}, which knows about files that are read" for path in lists for key in keys_of(path)}
+    owners |= {key: f"{path}, which belongs to files that are read" for path in lists for key in keys_of(path)}
     for option, path in (files or {}).items():
         if path is None:
             continue

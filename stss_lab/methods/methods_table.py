@@ -118,9 +118,7 @@ def require_names(names: Sequence[str], others: Sequence[Path]) -> None:
     """Raise InputError if a folder of frames from elsewhere has the name of a method, or of another such folder."""
     for i, folder in enumerate(others):
         if name_of(folder) in (*METHODS, NETWORK, *names, *(name_of(other) for other in others[:i])):
-            raise InputError(
-                f"{folder}: expected a folder with a name of its own, which its row gets; {name_of(folder)} is another's"
-            )
+            raise InputError(f"{folder}: expected a folder with another name, since its row gets it; {name_of(folder)} is taken")
 
 
 def require_same_frames(folder: Path, truth: Path, sequence: Frames, frames: tuple[int, int] | None) -> None:

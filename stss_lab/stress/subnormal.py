@@ -36,7 +36,12 @@ def subnormal(plan: StressPlan) -> StressTable:
         if engine.dtype != "bfloat16" and (stage not in IMAGE or stage in engine.stages())
     ]
     headings = tuple(f"{light:g}" for light in LIGHT)
-    return StressTable("subnormal", "Inputs times: processor time, of that for the first", ("stage", "", *headings), tuple(rows))
+    return StressTable(
+        "subnormal",
+        "Inputs times a factor: processor time, as a share of the first column's",
+        ("stage", "", *headings),
+        tuple(rows),
+    )
 
 
 def _times(engine: Engine, stage: str, inputs: Arrays, weights: Weights) -> list[float]:

@@ -89,7 +89,7 @@ def size(plan: StressPlan) -> StressTable:
         for stage, inputs in stage_inputs(seed, int(side), int(side), weights).items():
             yield stage, inputs, weights
 
-    return _sweep(plan, "size", "Frames of so many pixels each way", tuple(map(float, plan.sizes)), points)
+    return _sweep(plan, "size", "Square frames, by side in pixels", tuple(map(float, plan.sizes)), points)
 
 
 FEATURES = {"x1": 2, "x2": 5, "x3": 8, "x4": 11, "feature": 10, "reshaded": 14, "image": 21}

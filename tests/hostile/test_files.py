@@ -278,7 +278,9 @@ def test_a_file_of_others_under_a_listed_name_is_moved_aside(finished, out, demo
     where = ("--frames", "2:2") if option == "--overwrite" else ()
     result = call("run", demo / "frames", "-o", out, option, *where, *PLAIN)
     assert result.returncode == 0
-    assert "frame.0002.exr: not as stss.sha256 says, so somebody else's: moved to frame.0002.exr.1.aside" in result.stderr
+    assert (
+        "frame.0002.exr: not as stss.sha256 says, so another program wrote it: moved to frame.0002.exr.1.aside" in result.stderr
+    )
     files_now = contents(out)
     asides = [files_now[f"frame.{name}.aside"] for name in ("0002.exr.1", "0003.exr.2", "0003.exr.1")]
     assert asides == [b"mine", b"mine", b"mine of old"]
@@ -525,4 +527,4 @@ def test_what_is_printed_to_a_full_disk(demo):
         command = [sys.executable, "-m", "stss", "weights", "inspect", "bilinear", "--json"]
         result = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
     assert result.returncode == 2
-    assert result.stderr == "stss: what was printed cannot be written: No space left on device\n"
+    assert result.stderr == "stss: standard output cannot be written: No space left on device\n"

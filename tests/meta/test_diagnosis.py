@@ -83,7 +83,7 @@ def test_nothing_is_named_that_does_not_fit():
 
 def test_no_mistakes_to_compare_with_are_said_in_words(monkeypatch):
     monkeypatch.setattr("conformance.explain.diagnosis.suspects", lambda stage: ())
-    assert explain(Odd(), "warp") == "no mistake of this stage is known that it could look like"
+    assert explain(Odd(), "warp") == "no mistake of this stage is known to compare with"
 
 
 def test_a_stage_without_right_answers_is_named(monkeypatch):

@@ -69,14 +69,14 @@ def test_what_the_network_is_given_comes_first():
 
 def test_what_lies_behind_all_layers_is_not_one_of_them():
     """The decoder's base upsampled on the wrong grid: every layer is right."""
-    assert words(find("decoder_base_by_corners").port()) == "none of the 35 layers that it hands over departs"
+    assert words(find("decoder_base_by_corners").port()) == "none of the 35 layers that the port returns departs"
 
 
 @pytest.mark.parametrize(
     ("stage", "layers", "message"),
     [
         ("encoder", dict, ""),
-        ("network", dict, "it hands over no layers"),
+        ("network", dict, "the port returns no layers"),
         (
             "network",
             lambda: {"conv1": np.zeros((1, 1, 24), np.float32)},

@@ -324,7 +324,7 @@ def test_outputs_alone_are_judged_from_the_inputs(model):
 
     assert judge_port(model, Outputs(model), F32).passes
     wrong = judge_port(model, Outputs(model, "conv", attributes(pads=[1, 2, 1, 0])), F32).wrong
-    assert "made here or in nodes before it" in wrong[0]
+    assert "introduced here, or in nodes before it" in wrong[0]
 
 
 @pytest.mark.parametrize("engine", ["onnxruntime", "openvino:f32"])
@@ -502,7 +502,7 @@ def test_what_a_port_keeps_from_call_to_call_fails_again(one_node, tmp_path):
     assert one_node(1).exit_code == 0
     words = ["--onnx", "m.onnx", "--port", "one_node_port:Keeps"]
     done = CliRunner().invoke(conform, words)
-    assert "keeps something from call to call" in done.output
+    assert "keeps state from call to call" in done.output
     assert len(read_drawn(tmp_path / "conform-failures" / "m.onnx" / "property")[1]) == 3
     assert CliRunner().invoke(conform, [*words, "--replay", "conform-failures/m.onnx"]).exit_code == 1
 

@@ -175,7 +175,7 @@ KEPT = [
 def test_what_is_kept_by_a_part_of_the_inputs_is_found(stage, key):
     (result,) = run_suite(Judge(Keeps(key), shrink=False), [stage], only="kept_by_a_part")
     assert result.outcome == "failed"
-    assert result.record.about.startswith("the call before differs in this alone: ")
+    assert result.record.about.startswith("the previous call differs only in this: ")
 
 
 @pytest.mark.parametrize("stage", STAGES)
@@ -237,7 +237,7 @@ def test_the_answer_before_says_that_it_depends_on_the_case_before():
 
 def test_one_in_500_says_that_it_differs_from_run_to_run():
     (message,) = messages(Chance())
-    assert "differs from run to run: 0 of 20, alone" in message
+    assert "differs from run to run: alone it is wrong 0 of 20 times" in message
 
 
 def test_one_in_50_depends_on_nothing_and_is_counted():
@@ -245,7 +245,7 @@ def test_one_in_50_depends_on_nothing_and_is_counted():
     for seed in range(4):
         judge = Judge(Chance(50, seed), Tier("some", 200, 2))
         failed = run_suite(judge, ["warp"], only="agrees_with")[0]
-        match = re.search(r"differs from run to run: (\d+) of 20, alone", failed.message)
+        match = re.search(r"differs from run to run: alone it is wrong (\d+) of 20 times", failed.message)
         assert match is not None or "depends" not in failed.message
         counted.append(int(match[1]) if match else -1)
     assert max(counted) > 0, counted

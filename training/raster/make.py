@@ -316,7 +316,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("-o", "--out", type=Path, required=True, help="a folder for each clip; an existing one is not made again")
     options = parser.parse_args(arguments)
     if options.track in HELD_OUT:
-        raise InputError(f"--track {options.track}: expected another, views of {' and '.join(HELD_OUT)} are measured")
+        raise InputError(f"--track {options.track}: expected another track: views of {' and '.join(HELD_OUT)} are measured")
     jitter = JITTER if options.jitter else None
     draw = partial(draw_clip, track=options.track) if options.kind == "track" else DRAW[options.kind]
     clips = [draw(n) | {"jitter": jitter} for n in range(options.first, options.first + options.clips)]

@@ -70,11 +70,11 @@ def test_colour_at_odd_frames(write_frames):
 @pytest.mark.parametrize(
     ("samples", "level", "words"),
     [
-        ((64, 4), "note", "every second frame from 2 on; the others are G-buffer frames, of 4 samples for 64"),
+        ((64, 4), "note", "every second frame from 2 on; the others are G-buffer frames, of 4 samples in place of 64"),
         (
             (4, 64),
             "warning",
-            "half of the frames are G-buffer frames, of 4 samples for 64, 2 among them; say --rendered odd",
+            "half of the frames are G-buffer frames, of 4 samples in place of 64, 2 among them; say --rendered odd",
         ),
         ((64, 64), "note", "in every frame; a half-rate run uses every second one"),
         ((None, 4), "note", "in every frame; a half-rate run uses every second one"),

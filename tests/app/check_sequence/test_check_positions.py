@@ -13,7 +13,7 @@ from stss.sequence.solve_camera import solve_camera
 SIZE = (54, 96)
 NUMBERS = range(4)
 ENCODED = "colour: looks encoded for a display"
-FALLS = "depth: falls with the distance"
+FALLS = "depth: falls where the distance"
 NDC = 'motion: seems to be in NDC, where 2 is the frame\'s side (unit = "ndc")'
 
 
@@ -120,12 +120,12 @@ def test_sound_frames(findings_of, change):
         ((of_motion(lambda m: -m), of_depth(lambda z: 20 / z)), ("motion: seems to be from the frame before", FALLS)),
         ((of_motion(lambda m: m / 3),), ("motion: ", "true x = 3")),
         ((upside_down,), ("motion: seems to be right if the file is upside down",)),
-        ((rows_of_motion, normal_of_a_turned_camera), ("motion: ", "normal: in another space than positions")),
+        ((rows_of_motion, normal_of_a_turned_camera), ("motion: ", "normal: rotated against positions")),
         ((gbuffer_upside_down,), ("it looks as if the G-buffer is upside down",)),
         ((late,), ("it looks as if the G-buffer is that of the frame before",)),
-        ((half_rate,), ("position: in frames 1, ",)),
+        ((half_rate,), ("position: frames 1, ",)),
         ((of_depth(lambda z: 1 - 20 / z),), ("depth: ",)),
-        ((without_numbers,), ("stencil: 0 on ", "of the surfaces though they move")),
+        ((without_numbers,), ("stencil: 0 on ", "of the surfaces, though their motion")),
     ],
 )
 def test_each_mistake_is_named(findings_of, changes, words):

@@ -196,7 +196,7 @@ MISTAKES = {  # planes that are not as expected -> what the error says
     "no pixels": (dict.fromkeys(planes(), lambda p: p[:0]), "depth: expected an array"),
     "depth of 24 bits": (
         {"depth": lambda p: np.nan_to_num(p, posinf=0).astype(np.uint32)},
-        "divide values by the one that stands for 1",
+        "divide values by the one that means 1",
     ),
     "roughness of 16 bits": ({"roughness": lambda p: p.astype(np.uint16)}, "divide 16-bit values by 65535"),
     "roughness of 8 bits": ({"roughness": lambda p: p.astype(np.uint8)}, "divide 8-bit values by 255"),

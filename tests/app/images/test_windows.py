@@ -111,7 +111,7 @@ def test_a_cropped_frame_is_the_whole_one_with_nothing_around(tmp_path, several)
         assert read_header(b).display == CANVAS.doubled
         np.testing.assert_array_equal(pixels(a), pixels(b))
     (note,) = (f.text for f in check(tmp_path / "cut", SequenceOptions("stss")).findings if f.text.startswith("data windows"))
-    assert note == "data windows: cropped in frames 0, 1, 2, 3; outside nothing was hit"
+    assert note == "data windows: cropped in frames 0, 1, 2, 3; nothing was hit outside"
 
 
 @pytest.fixture(scope="module")
@@ -149,7 +149,7 @@ def test_overscan_is_read_and_made_whole(overscan, tmp_path):
     result = call("run", root / "wide", "-o", tmp_path / "wide", *PLAIN, "--resume")
     assert f"{FRAMES} kept" in result.stderr
     notes = [f.text for f in check(root / "wide", SequenceOptions("stss")).findings]
-    assert "overscan: 4 pixels left, 4 right, 3 above, 3 below; it is read and made too" in notes
+    assert "overscan: 4 pixels left, 4 right, 3 above, 3 below; it is read and computed, too" in notes
 
 
 def test_the_picture_alone_is_compared(overscan, tmp_path):

@@ -260,8 +260,8 @@ def test_frames_of_another_program_are_a_row_beside(tmp_path):
     assert scores["mine"]["holes"] == scores["lanczos"]["holes"] > 0
     assert "Method mine" in page.read_text(encoding="utf-8")
     again = (*words, "--overwrite", "--with", mine)
-    refused(call(*again, "--with", mine), f"{mine}: expected a folder with a name of its own")
-    refused(call(*again, "--with", tmp_path / "out" / "lanczos"), "lanczos is another's")
+    refused(call(*again, "--with", mine), f"{mine}: expected a folder with another name")
+    refused(call(*again, "--with", tmp_path / "out" / "lanczos"), "lanczos is taken")
     (mine / "own_4.exr").unlink()
     before = {path: path.stat().st_mtime_ns for path in (tmp_path / "out").rglob("*")}
     refused(call(*again), f"{mine}: expected the frames of the other methods; frame 4 not there")

@@ -142,7 +142,7 @@ def test_inspection_says_what_is_left_out(capsys):
     print_inspection(inspect(random(1) | {reader: random(1)[reader] * (np.arange(64) < 32)[:, None, None]}, 540, 960), Console())
     assert "units that run: 32 of 64 of up1.conv.double_conv.0" in " ".join(capsys.readouterr().out.split())
     print_inspection(inspect(Weights(unread, "detail"), 540, 960), Console())
-    assert "second colour: detail, what warped frames show" in capsys.readouterr().out
+    assert "second colour: detail, the details of warped frames" in capsys.readouterr().out
 
 
 def test_inspection_counts_what_is_taken_for_0(capsys):
