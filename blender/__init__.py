@@ -11,7 +11,10 @@ from typing import Any
 import bpy
 
 from . import film
-from .passes import set_up
+from .passes import layer_of, set_up, survey
+
+RELATIVE = {"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5, 0) else set()
+"""Blender 4.5 and newer want to be told that a path may begin with //."""
 
 
 class Preferences(bpy.types.AddonPreferences):
@@ -33,10 +36,25 @@ def chosen_command(context: Any) -> list[str]:
     return [] if addon is None else shlex.split(addon.preferences.command)
 
 
+def folder_of(path: str) -> Path:
+    """The folder of the panel.
+
+    Raises:
+        film.FilmError: there is none, or it lies beside a .blend that was never saved.
+    """
+    if not path:
+        raise film.FilmError("Folder: expected one, found nothing")
+    if path.startswith("//") and not bpy.data.filepath:
+        raise film.FilmError(f"Folder: {path} lies beside the .blend: save it first, or name a whole path")
+    return Path(bpy.path.abspath(path))
+
+
 class Settings(bpy.types.PropertyGroup):
     """The user's choices, stored in the scene, which may be somebody else's: no paths but the folder, no programs."""
 
-    folder: bpy.props.StringProperty(name="Folder", subtype="DIR_PATH", default="//stss", description="For frames and results")  # type: ignore[valid-type]
+    folder: bpy.props.StringProperty(  # type: ignore[valid-type]
+        name="Folder", subtype="DIR_PATH", default="//stss", description="For frames and results", options=RELATIVE
+    )
     options: bpy.props.StringProperty(name="Options", description="Options of stss run without paths, such as --format png")  # type: ignore[valid-type]
 
 
@@ -47,8 +65,17 @@ class SetUp(bpy.types.Operator):
 
     def execute(self, context: Any) -> set[str]:
         """Set up the scene, and report warnings."""
-        for line in set_up(context.scene, context.view_layer):
+        scene = context.scene
+        try:
+            film.require(scene)
+        except film.FilmError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        layer, here = layer_of(scene), scene.frame_current
+        for line in set_up(layer):
             self.report({"WARNING"}, line)
+        survey(scene, layer, range(scene.frame_start, scene.frame_end + 1))
+        scene.frame_set(here)
         return {"FINISHED"}
 
 
@@ -109,17 +136,23 @@ class Render(bpy.types.Operator):
     def work(self, context: Any) -> Generator[str, None, str]:
         """Render, run stss and load the result; yields lines on how far it is, and returns the last."""
         scene, settings = context.scene, context.scene.stss
-        folder, command = Path(bpy.path.abspath(settings.folder)), chosen_command(context)
-        options = film.harmless(settings.options)
-        warnings = yield from film.render(scene, folder)
-        out = yield from film.supersample(folder, scene.frame_start, command, options)
-        image = film.load(out)
+        folder, command = folder_of(settings.folder), chosen_command(context)
+        cuts, options = film.cuts_of(film.harmless(settings.options))
+        film.require(scene, cuts)
+        for line in film.unused(scene):
+            self.report({"WARNING"}, line)
+        warnings, cuts = yield from film.render(scene, folder, cuts)
+        out, lines = yield from film.supersample(folder, cuts, command, options)
+        image, count = film.load(out), scene.frame_end - scene.frame_start + 1
         for line in warnings:
             self.report({"WARNING"}, line)
+        for line in lines:
+            self.report({"INFO"}, line)
         for area in context.screen.areas if context.screen is not None else ():
             if area.type == "IMAGE_EDITOR":
                 area.spaces.active.image = image
-        return f"{out}: {scene.frame_end - scene.frame_start + 1} frames"
+                film.show(area.spaces.active.image_user, scene.frame_start, count)
+        return f"{out}: {count} frames"
 
 
 class Panel(bpy.types.Panel):

@@ -6,19 +6,20 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import shlex
 import subprocess
 import sys
 import tempfile
-from collections.abc import Generator, Sequence
+from collections.abc import Collection, Generator, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import bpy
 
-from .passes import changed, set_up, write_camera
+from .passes import changed, layer_of, set_up, survey, write_camera
 
 GBUFFER_SAMPLES = 4
 """Samples of frames that are not rendered: base colour and normals need few, light needs none."""
@@ -40,42 +41,97 @@ class FilmError(RuntimeError):
     """The scene cannot be rendered or supersampled; the message is one line."""
 
 
-def render(scene: Any, folder: Path) -> Generator[str, None, list[str]]:
+def render(scene: Any, folder: Path, cuts: Collection[int] = ()) -> Generator[str, None, tuple[list[str], list[int]]]:
     """Write ``folder/lr/frame.NNNN.exr`` for every frame of the scene and ``folder/camera.csv``.
 
-    The first frame and every second one after it have the scene's own samples; the others are rendered for their G-buffer only, and
-    their colour is not used. Between frames and afterwards the scene's settings are as before, except for passes, AOVs and object
-    numbers.
+    The first frame of each shot and every second one after it have the scene's own samples; the others are rendered for their
+    G-buffer only, and their colour is not used. Between frames and afterwards the scene's settings are as before, except for passes,
+    AOVs and object numbers.
+
+    Args:
+        scene: the scene.
+        folder: new, empty or of an earlier render.
+        cuts: frames at which shots begin, beside those at which a marker changes the camera.
 
     Yields:
         A line before each frame.
 
     Returns:
-        Lines for the user, see `passes.set_up`.
+        Lines for the user, see `passes.set_up`; and the first frames of all shots but the first.
 
     Raises:
-        FilmError: the engine is not Cycles, the scene has no camera, or the folder is somebody else's.
+        FilmError: the scene is not one that can be rendered so, or the folder is somebody else's.
+    """
+    require(scene, cuts)
+    take(folder)
+    layer = layer_of(scene)
+    warnings = set_up(layer)
+    numbers, here = range(scene.frame_start, scene.frame_end + 1), scene.frame_current
+    files = {number: folder / "lr" / f"frame.{number:04d}.exr" for number in numbers}
+    (folder / "lr").mkdir(exist_ok=True)
+    for old in {*(folder / "lr").iterdir()} - {*files.values()}:
+        if old.name.startswith(("frame.", ".frame.")):
+            old.unlink()  # of an earlier render, which was longer or was stopped
+    try:
+        yield "looking at what moves"
+        cameras = survey(scene, layer, numbers)
+        write_camera(cameras, folder / "camera.csv")
+        switches = {cameras[i][0] for i in range(1, len(cameras)) if cameras[i][1] != cameras[i - 1][1]}
+        starts = sorted(switches.union(cuts))
+        for number, path in files.items():
+            yield f"rendering frame {number}, {number - numbers[0] + 1} of {len(numbers)}"
+            start = max([numbers[0], *(cut for cut in starts if cut <= number)])
+            with changed(*_small(scene, layer)):
+                _frame(scene, layer, number, path, colour=(number - start) % 2 == 0)
+    finally:
+        scene.frame_set(here)
+    return warnings, starts
+
+
+def require(scene: Any, cuts: Collection[int] = ()) -> None:
+    """See that the scene can be rendered, before an hour is spent on it.
+
+    Raises:
+        FilmError: it cannot.
     """
     if scene.render.engine != "CYCLES":
         raise FilmError(f"expected the engine Cycles, found {scene.render.engine}: only Cycles writes the pass Vector")
     if scene.camera is None:
         raise FilmError("the scene has no camera")
-    take(folder)
-    warnings = set_up(scene, scene.view_layers[0])
-    numbers, here = range(scene.frame_start, scene.frame_end + 1), scene.frame_current
-    files = {number: folder / "lr" / f"frame.{number:04d}.exr" for number in numbers}
-    (folder / "lr").mkdir(exist_ok=True)
-    for old in {*(folder / "lr").glob("frame.*.exr")} - {*files.values()}:
-        old.unlink()  # of an earlier render, which was longer
-    try:
-        write_camera(scene, numbers, folder / "camera.csv")
-        for number, path in files.items():
-            yield f"rendering frame {number}, {number - numbers[0] + 1} of {len(numbers)}"
-            with changed(*_small(scene)):
-                _frame(scene, number, path, colour=number % 2 == numbers[0] % 2)
-    finally:
-        scene.frame_set(here)
-    return warnings
+    if layer_of(scene) is None:
+        raise FilmError("no view layer has Use for Rendering on")
+    if scene.render.use_multiview:
+        raise FilmError("Stereoscopy: expected off; render a film for each eye, each with a camera of its own")
+    if scene.frame_step != 1:
+        raise FilmError(f"Frame Range, Step: expected 1, found {scene.frame_step}: motion leads to the frame just before")
+    for cut in sorted(cuts):
+        if not scene.frame_start < cut <= scene.frame_end:
+            raise FilmError(f"Options: --cuts {cut}: expected frames of {scene.frame_start + 1} to {scene.frame_end}")
+
+
+def unused(scene: Any) -> list[str]:
+    """A line for each setting of the scene that the frames will not have."""
+    render, edit, layer, lines = scene.render, scene.sequence_editor, layer_of(scene), []
+    if render.use_motion_blur:
+        lines.append("Motion Blur: not in these frames; with it Cycles writes no Vector pass")
+    if any(other.use for other in scene.view_layers if other != layer):
+        lines.append(f"view layers: {layer.name} alone is rendered")
+    # Blender 5 has a group of nodes, and use_nodes for ever on.
+    composited = scene.compositing_node_group is not None if hasattr(scene, "compositing_node_group") else scene.use_nodes
+    if render.use_compositing and composited:
+        lines.append("Compositor: not in these frames; let it read them as an image sequence")
+    if render.use_sequencer and edit is not None and (edit.strips if hasattr(edit, "strips") else edit.sequences):
+        lines.append("Sequencer: not in these frames; let it read them as a strip")
+    if any(size % 2 for size in full_size(scene)):
+        width, height = (size + size % 2 for size in full_size(scene))
+        lines.append(f"size: the frames have {width} x {height} pixels, as only even sizes have a half")
+    return lines
+
+
+def full_size(scene: Any) -> tuple[int, int]:
+    """Width and height of the frames that Blender renders."""
+    render = scene.render
+    return render.resolution_x * render.resolution_percentage // 100, render.resolution_y * render.resolution_percentage // 100
 
 
 def take(folder: Path) -> None:
@@ -109,15 +165,40 @@ def harmless(options: str) -> list[str]:
     return words
 
 
-def _small(scene: Any) -> list[tuple[Any, str, Any]]:
-    """Settings for half the size and multilayer files; motion blur is off, since with it Cycles writes no Vector pass."""
-    image = scene.render.image_settings
+def cuts_of(words: Sequence[str]) -> tuple[list[int], list[str]]:
+    """The frames of ``--cuts``, and the other words.
+
+    Raises:
+        FilmError: they are no numbers.
+    """
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
+    parser.add_argument("--cuts", type=lambda text: [int(one) for one in text.split(",")], default=[])
+    try:
+        known, others = parser.parse_known_args(words)
+    except argparse.ArgumentError as error:
+        raise FilmError("Options: --cuts: expected numbers of frames, such as 120,301") from error
+    return known.cuts, others
+
+
+def _small(scene: Any, layer: Any) -> list[tuple[Any, str, Any]]:
+    """Settings for half the size and multilayer files.
+
+    Motion blur is off, since with it Cycles writes no Vector pass; compositor and sequencer are off, since they would put their picture in
+    place of the passes, and write the small frames over the user's own files.
+    """
+    render, image = scene.render, scene.render.image_settings
     kind = [(image, "media_type", "MULTI_LAYER_IMAGE")] if hasattr(image, "media_type") else []  # Blender 5
+    width, height = full_size(scene)
     return [
-        (scene.render, "resolution_percentage", max(1, scene.render.resolution_percentage // 2)),
-        (scene.render, "use_motion_blur", False),
-        (scene.render, "use_file_extension", False),
-        (scene.render, "filepath", scene.render.filepath),
+        (render, "resolution_x", (width + 1) // 2),
+        (render, "resolution_y", (height + 1) // 2),
+        (render, "resolution_percentage", 100),
+        *(
+            (render, name, False)
+            for name in ("use_motion_blur", "use_compositing", "use_sequencer", "use_single_layer", "use_file_extension")
+        ),
+        *((other, "use", False) for other in scene.view_layers if other != layer),
+        (render, "filepath", render.filepath),
         *kind,
         (image, "file_format", "OPEN_EXR_MULTILAYER"),
         (image, "color_depth", "16"),  # of colour; passes of data stay float
@@ -125,7 +206,7 @@ def _small(scene: Any) -> list[tuple[Any, str, Any]]:
     ]
 
 
-def _frame(scene: Any, number: int, path: Path, *, colour: bool) -> None:
+def _frame(scene: Any, layer: Any, number: int, path: Path, *, colour: bool) -> None:
     """One frame's file, whole or not there."""
     part = path.with_name(f".{path.name}.part")
     cycles = scene.cycles
@@ -134,20 +215,28 @@ def _frame(scene: Any, number: int, path: Path, *, colour: bool) -> None:
         (cycles, "max_bounces", 0),
         (cycles, "use_adaptive_sampling", False),
         (cycles, "use_denoising", False),
+        (layer, "samples", 0),
     ]
     scene.frame_set(number)
     scene.render.filepath = str(part)
-    with changed(*([] if colour else plain)):
-        bpy.ops.render.render(write_still=True, scene=scene.name)
-    part.replace(path)
+    try:
+        with changed(*([] if colour else plain)):
+            bpy.ops.render.render(write_still=True, scene=scene.name)
+        part.replace(path)
+    except (RuntimeError, FileNotFoundError) as error:
+        part.unlink(missing_ok=True)
+        reason = str(error).strip() if isinstance(error, RuntimeError) else "Blender wrote no file"
+        raise FilmError(f"frame {number}: {reason}") from error
 
 
-def supersample(folder: Path, first: int, command: Sequence[str] = (), options: Sequence[str] = ()) -> Generator[str, None, Path]:
+def supersample(
+    folder: Path, cuts: Sequence[int], command: Sequence[str] = (), options: Sequence[str] = ()
+) -> Generator[str, None, tuple[Path, list[str]]]:
     """Run ``stss run`` on the frames of `render`; its output goes to ``folder/out``. It ends with this generator.
 
     Args:
         folder: the folder of `render`.
-        first: the first frame, which has colour.
+        cuts: the first frames of all shots but the first.
         command: command that starts stss; empty: the one in this extension.
         options: more of ``stss run``.
 
@@ -155,16 +244,17 @@ def supersample(folder: Path, first: int, command: Sequence[str] = (), options: 
         How many frames there are, every 0.1 s.
 
     Returns:
-        The folder of the frames.
+        The folder of the frames, and the lines of stss.
 
     Raises:
         FilmError: with the message of stss.
     """
     if not command and not (PACKAGES / "stss").is_dir():
         raise FilmError(f"{PACKAGES}: no stss: install the zip that build.py writes, or name a command in the preferences")
-    out, total, rendered = folder / "out", len([*(folder / "lr").glob("frame.*.exr")]), "odd" if first % 2 else "even"
+    out, total = folder / "out", len([*(folder / "lr").glob("frame.*.exr")])
     words = [*(command or (sys.executable, "-P", "-m", "stss")), "run", str(folder / "lr"), "-o", str(out)]
-    words += ["--profile", "blender", "--camera", str(folder / "camera.csv"), "--rendered", rendered, "--overwrite", *options]
+    words += ["--profile", "blender", "--camera", str(folder / "camera.csv"), "--overwrite", *options]
+    words += ["--cuts", ",".join(map(str, cuts))] if cuts else []
     # Its own packages before those of Blender's Python. -P: no module beside the .blend is one of them.
     environment = os.environ if command else {**os.environ, "PYTHONPATH": str(PACKAGES)}
     before = _times(out)
@@ -184,9 +274,10 @@ def supersample(folder: Path, first: int, command: Sequence[str] = (), options: 
             process.terminate()  # where the user stopped it; else it has ended
             process.wait()
         messages.seek(0)
-        if process.returncode:
-            raise FilmError((messages.read().strip() or f"stss ended with status {process.returncode}").splitlines()[-1])
-    return out
+        lines = messages.read().splitlines()
+    if process.returncode:
+        raise FilmError(lines[-1] if lines else f"stss ended with status {process.returncode}")
+    return out, lines
 
 
 def _times(out: Path) -> dict[Path, int]:
@@ -205,4 +296,11 @@ def load(out: Path) -> Any:
         raise FilmError(f"{out}: no frames")
     image = bpy.data.images.load(str(files[0]), check_existing=True)
     image.source, image.name = "SEQUENCE", "stss"
+    image.reload()  # an earlier film's pixels may be in memory
+    image.use_view_as_render = files[0].suffix == ".exr"  # linear: as Blender shows a render
     return image
+
+
+def show(user: Any, first: int, count: int) -> None:
+    """Let an image's user, such as an image editor, show each frame at its own place in the timeline."""
+    user.frame_start, user.frame_offset, user.frame_duration, user.use_auto_refresh = first, first - 1, count, True

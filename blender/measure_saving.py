@@ -102,7 +102,7 @@ def main() -> None:
         count *= 2
     scene.cycles.samples = options.samples
     half = seconds(lambda: [*film.render(scene, out / "half")])
-    stss_seconds = seconds(lambda: [*film.supersample(out / "half", first, command, shlex.split(options.options))])
+    stss_seconds = seconds(lambda: [*film.supersample(out / "half", (), command, shlex.split(options.options))])
     print(f"stss run alone: {stss_seconds / (last - first + 1):.2f} s", file=console)
     row("stss", out / "half" / "out", half + stss_seconds)
 

@@ -3,10 +3,14 @@
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
+
+import bpy
 
 PASSES = ("combined", "z", "vector", "normal", "position", "object_index", "diffuse_color")
 AOVS = {"basecolor": "COLOR", "metallic": "VALUE", "roughness": "VALUE"}
@@ -15,8 +19,17 @@ SOCKETS = {"basecolor": "Base Color", "metallic": "Metallic", "roughness": "Roug
 """AOV to the input of the Principled BSDF that it shows."""
 
 
-def set_up(scene: Any, layer: Any) -> list[str]:
-    """Turn on passes, add AOVs to the view layer and to every material, number moving objects.
+GEOMETRY = {"MESH", "CURVE", "SURFACE", "META", "FONT", "CURVES", "POINTCLOUD", "VOLUME"}
+"""Kinds of object that are drawn."""
+
+
+def layer_of(scene: Any) -> Any:
+    """The first view layer that is rendered, or None."""
+    return next((layer for layer in scene.view_layers if layer.use), None)
+
+
+def set_up(layer: Any) -> list[str]:
+    """Turn on passes, add AOVs to the view layer and to every material.
 
     Passes and nodes that are there already stay. The result is in the file that the user saves.
 
@@ -30,10 +43,10 @@ def set_up(scene: Any, layer: Any) -> list[str]:
             added = layer.aovs.add()
             added.name, added.type = name, kind
     warnings: list[str] = []
-    for material in {slot.material for thing in scene.objects for slot in thing.material_slots if slot.material is not None}:
-        if not _show(material):
+    # All of the file: instances, nodes and the layer's override use materials that no object of the scene names.
+    for material in bpy.data.materials:
+        if material.users and not material.is_grease_pencil and not _show(material):
             warnings.append(f"{material.name}: no Principled BSDF; base colour, metallic and roughness are taken as 0")
-    _number(scene)
     return sorted(warnings)
 
 
@@ -59,27 +72,74 @@ def _show(material: Any) -> bool:
     return True
 
 
-def _number(scene: Any) -> None:
-    """Give each moving object a pass index of its own; 0 stays for objects at rest."""
-    used_numbers = {thing.pass_index for thing in scene.objects}
-    free = (number for number in range(1, 32768) if number not in used_numbers)
-    for thing in scene.objects:
-        if thing.pass_index == 0 and _moves(thing):
-            thing.pass_index = next(free)
+def survey(scene: Any, layer: Any, frames: Iterable[int]) -> list[tuple[int, Any, tuple[float, ...]]]:
+    """Step through the frames: where the camera is in each, and a pass index of its own for every object that moves.
 
+    What moves is seen in the evaluated scene, not guessed from its keys: objects, particles and other instances by their matrices,
+    armatures, shape keys, simulations and geometry nodes by the vertices that they yield. 0 stays for objects at rest.
 
-def _moves(thing: Any) -> bool:
-    own = thing.animation_data is not None or bool(thing.constraints) or thing.rigid_body is not None
-    return own or (thing.parent is not None and _moves(thing.parent))
-
-
-def write_camera(scene: Any, frames: Iterable[int], path: Path) -> None:
-    """Write where the camera is at each frame: ``frame,x,y,z`` in units of the scene."""
-    lines = ["frame,x,y,z"]
+    Returns:
+        For each frame its number, its camera and the camera's place in units of the scene.
+    """
+    cameras: list[tuple[int, Any, tuple[float, ...]]] = []
+    first: dict[Any, Any] = {}
+    moving: dict[Any, None] = {}
     for number in frames:
         scene.frame_set(number)
-        x, y, z = scene.camera.matrix_world.translation
-        lines.append(f"{number},{x:.9g},{y:.9g},{z:.9g}")
+        cameras.append((number, scene.camera, (*scene.camera.matrix_world.translation,)))
+        layer.update()
+        for thing, instance, pose in _poses(layer.depsgraph):
+            if first.setdefault((thing, instance), pose) != pose:
+                moving[thing] = None
+    drawn = {thing for thing, _ in first}
+    for thing in scene.objects:
+        if thing.type in GEOMETRY and thing not in drawn and not thing.hide_render and _has_keys(thing):
+            moving[thing] = None
+    used = {thing.pass_index for thing in bpy.data.objects}
+    free = (number for number in range(1, 32768) if number not in used)
+    for thing in sorted(moving, key=lambda one: one.name):
+        if thing.pass_index == 0:
+            thing.pass_index = next(free, 32767)
+    return cameras
+
+
+def _has_keys(thing: Any) -> bool:
+    """Of an object that only renders draw, not the viewport, so that its poses are not seen here."""
+    own = thing.animation_data is not None or bool(thing.constraints) or thing.rigid_body is not None
+    return own or (thing.parent is not None and _has_keys(thing.parent))
+
+
+def _poses(graph: Any) -> Iterator[tuple[Any, Any, Any]]:
+    """Of everything that is drawn: its object, which of its instances it is, and where its vertices are."""
+    digests: dict[Any, bytes] = {}
+    for one in graph.object_instances:
+        thing = one.object
+        if thing.type not in GEOMETRY:
+            continue
+        if thing not in digests:
+            digests[thing] = _vertices(thing)
+        instance = (one.parent.original, *one.persistent_id) if one.is_instance else ()
+        yield thing.original, instance, ((*(value for row in one.matrix_world for value in row),), digests[thing])
+
+
+def _vertices(thing: Any) -> bytes:
+    """A digest of an evaluated object's vertices; empty where nothing can move them."""
+    data = thing.original.data
+    if thing.type in {"POINTCLOUD", "VOLUME"} or not (
+        thing.modifiers or getattr(data, "shape_keys", None) is not None or data.animation_data is not None
+    ):
+        return b""
+    curves = thing.type == "CURVES"
+    points = thing.data.position_data if curves else thing.to_mesh().vertices
+    places = array("f", bytes(12 * len(points)))
+    points.foreach_get("vector" if curves else "co", places)
+    thing.to_mesh_clear()
+    return sha256(places).digest()
+
+
+def write_camera(cameras: Iterable[tuple[int, Any, tuple[float, ...]]], path: Path) -> None:
+    """Write where the camera is at each frame: ``frame,x,y,z`` in units of the scene."""
+    lines = ["frame,x,y,z", *(f"{number},{x:.9g},{y:.9g},{z:.9g}" for number, _, (x, y, z) in cameras)]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 

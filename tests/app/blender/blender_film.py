@@ -59,6 +59,93 @@ def render_truth(scene, folder):
     scene.render.filepath, _, image.file_format, scene.cycles.samples = before
 
 
+def make_trap(mine):
+    """What artists have: what moves without keys of its own, two cameras, layers, a compositor that writes files, a sequencer, 50 %."""
+    scene, monkey = make_scene()
+    monkey.animation_data_clear()
+    bpy.ops.object.armature_add()
+    bone = bpy.context.object.pose.bones["Bone"]
+    monkey.vertex_groups.new(name="Bone").add(range(len(monkey.data.vertices)), 1, "ADD")
+    monkey.modifiers.new("armature", "ARMATURE").object = bpy.context.object
+    bpy.ops.mesh.primitive_cube_add(location=(0, 2, 1))
+    cube = bpy.context.object
+    cube.shape_key_add(name="Basis")
+    key = cube.shape_key_add(name="up")
+    for point in key.data:
+        point.co.z += 1
+    bpy.ops.mesh.primitive_uv_sphere_add(radius=0.3)
+    ball, inside, empty = bpy.context.object, bpy.data.collections.new("inside"), bpy.data.objects.new("instance", None)
+    ball.data.materials.append(bpy.data.materials.new("ball"))
+    ball.data.materials[0].use_nodes = True
+    inside.objects.link(ball)
+    scene.collection.objects.unlink(ball)
+    scene.collection.objects.link(empty)
+    empty.instance_type, empty.instance_collection = "COLLECTION", inside
+    for number in (1001, 1006):
+        key.value = bone.location.x = empty.location.x = (number - 1001) / 4
+        key.keyframe_insert("value", frame=number)
+        bone.keyframe_insert("location", frame=number)
+        empty.keyframe_insert("location", frame=number)
+    bpy.ops.object.camera_add(location=(0, -6, 9), rotation=(0.5, 0, 0))
+    for number, camera in ((1001, scene.camera), (1004, bpy.context.object)):
+        scene.timeline_markers.new("cut", frame=number).camera = camera
+    scene.frame_start, scene.frame_end = 1001, 1006
+    scene.view_layers.new("zweite Ebene ö")
+    scene.view_layers[0].use = False
+    scene.view_layers.new("third")
+    scene.use_nodes = scene.render.use_motion_blur = True
+    if hasattr(scene, "node_tree"):  # Blender 5 has no output node of its own for the test's purpose
+        tree = scene.node_tree
+        files = tree.nodes.new("CompositorNodeOutputFile")
+        files.base_path = str(mine)
+        tree.links.new(next(node for node in tree.nodes if node.type == "R_LAYERS").outputs[0], files.inputs[0])
+    edit = scene.sequence_editor_create()
+    (edit.strips if hasattr(edit, "strips") else edit.sequences).new_effect(
+        "c", "COLOR", 1, frame_start=1001, **length_of(edit, 9)
+    )
+    scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = 130, 90, 50
+    return scene, [monkey, cube, ball, scene.objects["Plane"]]
+
+
+def length_of(edit, frames):
+    """A strip's length: Blender 5 takes it, older ones its end."""
+    kinds = (edit.strips if hasattr(edit, "strips") else edit.sequences).bl_rna.functions["new_effect"].parameters
+    return {"length": frames} if "length" in kinds else {"frame_end": 1001 + frames}
+
+
+def press():
+    try:
+        return str(bpy.ops.stss.render())
+    except RuntimeError as error:
+        return str(error)
+
+
+def trap(out):
+    scene, things = make_trap(out / "mine")
+    scene.stss.options = "--backend ref --weights bilinear"
+    unsaved = press()
+    scene.stss.folder = str(out / "trap")
+    refused = {"unsaved": unsaved}
+    for name, of, value in (("use_multiview", scene.render, True), ("frame_step", scene, 2)):
+        before = getattr(of, name)
+        setattr(of, name, value)
+        refused[name] = press()
+        setattr(of, name, before)
+    scene.stss.options += " --cuts 1001"
+    refused["cuts"] = press()
+    scene.stss.options = "--backend ref --weights bilinear --cuts=1006"
+    before = (scene.render.resolution_x, scene.render.use_compositing, scene.view_layers[2].use)
+    done = press()
+    image = bpy.data.images["stss"]
+    return {
+        "refused": refused,
+        "done": done,
+        "kept": before == (scene.render.resolution_x, scene.render.use_compositing, scene.view_layers[2].use),
+        "index": [thing.pass_index for thing in things],
+        "image": [image.filepath, image.use_view_as_render],
+    }
+
+
 def main():
     packed, out = Path(sys.argv[1]), Path(sys.argv[2])
     assert not cli_extension_handler(["install-file", "--repo", "user_default", "--enable", str(packed)])
@@ -66,9 +153,9 @@ def main():
     scene, monkey = make_scene()
     render_truth(scene, out / "truth")
     before = settings(scene)
+    scene.stss.options = "--backend ref --format png --weights bilinear"
     bpy.ops.wm.save_as_mainfile(filepath=str(out / "shot.blend"))
     scene.stss.folder = str(out / "film")
-    scene.stss.options = "--backend ref --format png --weights bilinear"
     (out / "film" / "lr").mkdir(parents=True)  # of an earlier film, which was longer
     (out / "film" / "stss-film").touch()
     (out / "film" / "lr" / "frame.0009.exr").touch()
@@ -77,18 +164,15 @@ def main():
     scene.stss.options = "--backend ref"
     again = bpy.ops.stss.render()
     scene.stss.options = "--cuts 99"
-    try:
-        refused = str(bpy.ops.stss.render())
-    except RuntimeError as error:
-        refused = str(error)
     report = {
         "state": [*state, *again],
-        "refused": refused,
+        "refused": press(),
         "kept": before == settings(scene),
         "image": bpy.data.images["stss"].source,
         "index": [scene.objects["Plane"].pass_index, monkey.pass_index],
         "python": sys.path,
         "numpy": numpy_of_blender,
+        "trap": trap(out),
     }
     (out / "found.json").write_text(json.dumps(report))
 

@@ -116,6 +116,14 @@ def test_no_module_beside_the_scene_is_imported(film, tmp_path, monkeypatch):
     assert "stranger" not in str(error.value)
 
 
+def test_cuts_among_the_options_are_those_of_the_render_too(film):
+    assert film.cuts_of(["--format", "png", "--cuts", "3,9", "--skip=off"]) == ([3, 9], ["--format", "png", "--skip=off"])
+    assert film.cuts_of(["--cuts=4"]) == ([4], [])
+    for words in (["--cuts"], ["--cuts", "a"], ["--cuts", "--skip"]):
+        with pytest.raises(film.FilmError, match="--cuts: expected numbers of frames"):
+            film.cuts_of(words)
+
+
 def test_the_program_ends_with_the_operator(film, tmp_path):
     """Esc closes the generator."""
     steps = film.supersample(tmp_path, 0, [sys.executable, "-c", f"""
@@ -199,7 +207,7 @@ def test_a_scene_becomes_supersampled_frames_without_a_hand_on_it(bpy_python, pa
     assert "stss: 8 of 8 frames" in done.stdout
     report = json.loads((tmp_path / "found.json").read_text())
     assert report["state"] == ["FINISHED"] * 2
-    assert "--cuts 99: expected frames of" in report["refused"]
+    assert "--cuts 99: expected frames of 2 to 8" in report["refused"]
     assert report["kept"], "settings of the scene were changed for good"
     assert report["image"] == "SEQUENCE"
     assert report["index"][0] == 0 < report["index"][1]
@@ -221,10 +229,45 @@ def test_a_scene_becomes_supersampled_frames_without_a_hand_on_it(bpy_python, pa
         errors = [float(np.square(frames[at] - truth[other]).mean()) for other in (at - 1, at, at + 1)]
         assert np.isfinite(frames[at]).all()
         assert errors[1] < 0.7 * min(errors[0], errors[2]), errors
+    page = re.search(r"```python\n(.*?)```", (ROOT / "docs/blender.md").read_text(), re.S).group(1)
+    words = [bpy_python[0], "-c", page + "import os; os._exit(0)"]  # in a process that never saw the zip
+    shell = environment | {"PWD": str(tmp_path)}  # as a shell sets it: Blender goes by it
+    again = subprocess.run(words, cwd=tmp_path, env=shell, capture_output=True, text=True, check=False, timeout=900)
+    assert again.returncode == 0, again.stderr
+    assert len([*(tmp_path / "stss" / "out").glob("frame.*.png")]) == 8
+    see_trap(report["trap"], tmp_path, done.stdout)
     rows = measure_saving(bpy_python[0], tmp_path)
     assert [name for name, _, _ in rows] == ["full-1", "full-2", "stss"]
     assert all(took > 0 and 15 < psnr < 60 for _, took, psnr in rows)
     assert rows[0][2] < rows[1][2], "more samples, no better"
+
+
+def see_trap(report, folder, printed):
+    """The scene of `blender_film.make_trap`: refused before an hour is spent; what moves has a number; a marker's cut is a cut."""
+    assert {name: line.strip().split(": ")[1] for name, line in report["refused"].items()} == {
+        "unsaved": "Folder", "use_multiview": "Stereoscopy", "frame_step": "Frame Range, Step", "cuts": "Options"
+    }  # fmt: skip
+    assert report["done"] == "{'FINISHED'}"
+    assert report["kept"]
+    assert sorted(report["index"]) == [0, 1, 2, 3], "armature, shape key, instance of a collection; the plane rests"
+    assert report["index"][-1] == 0
+    assert report["image"] == [str(folder / "trap" / "out" / "frame.1001.exr"), True]
+    assert not (folder / "mine").exists(), "the compositor wrote small frames over the user's files"
+    for line in ("Motion Blur: not", "view layers: zweite Ebene ö alone", "Compositor: not", "Sequencer: not", "66 x 46 pixels"):
+        assert f"Warning: {line}" in printed or f"size: the frames have {line}" in printed, line
+    kinds = {}
+    for path in sorted((folder / "trap" / "out").glob("*.exr")):
+        header = read_header(path)
+        assert header.size == (46, 66)
+        kinds[int(path.stem[-4:])] = header.attributes["stss:kind"]
+        assert {
+            channel.rpartition(".")[0].partition(".")[0] for channel in read_header(folder / "trap/lr" / path.name).channels
+        } == {"zweite Ebene ö"}
+    assert kinds == {1001: "SF", 1002: "EF", 1003: "SF", 1004: "SF", 1005: "EF", 1006: "SF"}
+    ball = read_channels(folder / "trap/lr/frame.1001.exr", ["zweite Ebene ö.basecolor.R"])["zweite Ebene ö.basecolor.R"]
+    index = read_channels(folder / "trap/lr/frame.1001.exr", ["zweite Ebene ö.IndexOB.X"])["zweite Ebene ö.IndexOB.X"]
+    assert (ball[index == report["index"][2]] > 0.5).all(), "a material that only an instance uses"
+    assert {int(number) for number in np.unique(index)} == {0, 1, 2, 3}
 
 
 def measure_saving(python, folder):

@@ -11,6 +11,7 @@ import sys
 import tempfile
 from dataclasses import fields, replace
 from pathlib import Path
+from unittest.mock import MagicMock
 
 import numpy as np
 import pyopencl as cl
@@ -146,6 +147,18 @@ def of_frames_ahead(device, demo, folder):
     return {"calls": films.calls_of(films.film(4 * ["moving"], SIZE))[1:], "show": images.append}, lambda scope: len(images) == 4
 
 
+def of_blender(device, demo, folder):
+    """A stand-in; tests/app/blender runs the block in Blender."""
+    sys.modules["bpy"] = bpy = MagicMock()
+    del device, demo, folder
+
+    def after(scope):
+        del sys.modules["bpy"], scope["bpy"]
+        bpy.ops.stss.render.assert_called_once_with()
+
+    return {}, after
+
+
 def of_ports(device, demo, folder):
     (folder / "my_port").write_text(f'#!/bin/sh\nexec {shlex.quote(sys.executable)} -m stss port --backend ref "$1"\n')
     (folder / "my_port").chmod(stat.S_IRWXU)
@@ -160,6 +173,7 @@ NEEDS = {
     "gbuffer = cla.Array": of_wrapped_buffers,
     "Stream(weights).frames(calls)": of_frames_ahead,
     "write_job(Path(": of_ports,
+    "import bpy": of_blender,
 }
 """What stands in a block -> what its reader has, and what must hold then."""
 
