@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
-// Building block arrive for GPUs, one launch for each new display frame: where it differs, and whether all is finite;
-// changed_tiles.cl is the same for processors; reference stss_ref/arrays.py::require_finite.
+// Building block arrive for GPUs, one launch for each new display frame: finds where it differs, and whether all values
+// are finite; changed_tiles.cl is the same for processors; reference stss_ref/arrays.py::require_finite.
 //
 //  buffer           dir  shape        unit
 //  motion           in   (H, W, 2)    px
@@ -8,13 +8,13 @@
 //  nov, stencil     in   (H, W)
 //  position         in   (H, W, 3)
 //  color            in   (H, W, 3)    read if `has_color`
-//  *_before         in   likewise     of the frame before, read if `compares`; color_before: of the last that has one,
-//                                     if `recolors`
+//  *_before         in   likewise     of the previous frame, read if `compares`; color_before: of the last frame with a
+//                                     colour, if `recolors`
 //  bad              out  (4)          set to 1 if a value of color (0), gbuffer (1), nov (2) or stencil (3) is not
 //                                     finite; the caller clears it
-//  differs          out  (H/4, W/4)   of the tile of 4 x 4 pixels, sizes rounded up; if `compares`: CHANGED: something
-//                                     moves in it, or a bit of it
-//                                     is another; RECOLORED: a bit of the colour is another, if there is one
+//  differs          out  (H/4, W/4)   of each tile of 4 x 4 pixels, sizes rounded up; if `compares`: CHANGED: something
+//                                     moves in it, or one of its bits differs; RECOLORED: a bit of the colour, if there
+//                                     is one, differs
 //
 // Work-group (128): it takes TILES_ACROSS tiles of a row of tiles, reading values in their order in memory.  Launch
 // (128 ceil(W / 4 / TILES_ACROSS), H / 4).
@@ -24,7 +24,7 @@
 #define TILES_ACROSS 16
 #define EXPONENT 0x7f800000u
 
-// Reads four rows of pixels under the group's tiles: whether a value is not finite, and which tiles have a bit that
+// Reads the four rows of pixels of the group's tiles; finds values that are not finite, and tiles with a bit that
 // differs from `before`.
 static inline uint look(global const uint *now, global const uint *before, const int floats, const int y, const int x,
                         const int height, const int width, const int compares, local uint *seen)

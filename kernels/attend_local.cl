@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT
 // Stage erm, the attention on GPUs: `normalise` and `attend` of erm.cl in one kernel, reference stss_ref/erm.py. A
-// work-group computes a tile of 4 x 4 pixels: it loads the keys of the tile and around it into local memory, divides
-// them by their lengths, computes 25 weights for each pixel, then the sums.
+// work-group computes a tile of 4 x 4 pixels: it loads the keys of the tile and its surroundings into local memory,
+// divides them by their lengths, computes 25 weights for each pixel, then the sums.
 //
 //  buffer    dir  shape                     content
 //  key       in   padded, (KEYS)            KEncoder's result, not yet normalised
@@ -22,8 +22,8 @@
 #define VALUES8 (VALUES / 8)
 #define WINDOW 5
 #define WINDOW_TAPS (WINDOW * WINDOW)
-#define READ_SIDE (4 + WINDOW - 1)  // side of a tile with all that its windows reach
-#define PITCH (KEYS + 1)       // neighbours then lie in different banks
+#define READ_SIDE (4 + WINDOW - 1)  // side of a tile with the surroundings that its windows reach
+#define PITCH (KEYS + 1)       // so neighbours lie in different banks
 #define ITEMS (16 * VALUES8)
 
 // Pixel of the buffers for place `i` of a tile and its surroundings; for a place beyond the frame, the frame's nearest
@@ -71,7 +71,7 @@ kernel __attribute__((reqd_work_group_size(ITEMS, 1, 1))) void attend_local(
             weights[i] = weight > 0.0f ? weight : 0.0f;
         }
         barrier(CLK_LOCAL_MEM_FENCE);
-        // sum_d w(d) m V(p + d) / max(sum_d w(d), 1e-6): eight channels of a pixel, and here the mask is applied to the
+        // sum_d w(d) m V(p + d) / max(sum_d w(d), 1e-6): eight channels of a pixel; here the mask is applied to the
         // values.
         const int pixel = item / VALUES8, c = item % VALUES8, y = top + pixel / 4, x = left + pixel % 4;
         if (y < height && x < width) {

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT
-// arrive.cl for processors, with the same buffers: a work-item has SPAN tiles of a row of tiles. It looks at one array
-// after the other, since a processor prefetches only few streams at a time, and at TOGETHER tiles at once, since mostly
-// nothing changed there.
+// arrive.cl for processors, with the same buffers: a work-item has SPAN tiles of a row of tiles. It reads one array
+// after the other, since a processor prefetches only few streams at a time, and TOGETHER tiles at once, since most do
+// not change.
 //
 // Build -D SPAN=tiles of a work-item, optionally -D PREFETCH (of values AHEAD).  Launch (ceil(ceil(W / 4) / SPAN),
 // ceil(H / 4)).
@@ -18,7 +18,7 @@ typedef uint16 uint16_anywhere __attribute__((aligned(4)));
 // Always inline: on PoCL a called function has no vectors of 16.
 #define ALWAYS static inline __attribute__((always_inline))
 
-// Of values: the bits in which they differ from those before, if they are compared, and the largest, without its sign.
+// The bits in which values differ from the previous ones, if they are compared, and the largest value without its sign.
 typedef struct {
     uint16 differ, largest;
 } Seen;
@@ -52,8 +52,9 @@ ALWAYS bool any16(const uint16 v)
     return (two.x | two.y) != 0;
 }
 
-// Four rows of values from row y on, `floats` to a pixel, under the tiles first .. last. Marks the tiles in which one
-// differs from `before`; with `moves` those in which one is not 0; -0 counts as 0. Returns whether one is not finite.
+// Reads the four rows from row y on, `floats` values a pixel, of the tiles first .. last. Marks the tiles with a value
+// that differs from `before`, and with `moves` those with a value other than 0; -0 counts as 0. Returns whether a value
+// is not finite.
 ALWAYS bool look(global const uint *now, global const uint *before, const int floats, const int y, const int first,
                  const int last, const int height, const int width, const int compares, const bool moves, uchar *marks)
 {

@@ -3,7 +3,7 @@
 // side by side.
 //
 //  buffer       dir  shape                              content
-//  a            in   padded, (A)                        first input, see common.clh; see layer.clh for where it begins
+//  a            in   padded, (A)                        first input, see common.clh; it begins at layer.a_first
 //  b            in   padded, (B)                        second input, concatenated behind it; not read where B = 0
 //  weight       in   (KERNEL, KERNEL, A + B, OUT)       tap by tap, outputs last
 //  gate_weight  in   (KERNEL, KERNEL, A + B)            of the one gate channel; read if GATED
@@ -18,8 +18,8 @@
 // `tiles`, `count`: the tiles of 4 x 4 pixels of the output that are computed, see tile_list.clh. Launch (any multiple
 // of WORKERS, OUT / 8 / EIGHTS_HELD or a divisor of it).
 //
-// Where MARKS(changes), the output's map, a value is compared with the one that is stored, and marked where bits came
-// to differ (change_map.clh).
+// If MARKS(changes), the output's map, a value is compared with the stored one, and marked if bits differ
+// (change_map.clh).
 #if !defined(A) || !defined(B) || !defined(OUT) || !defined(KERNEL) || !defined(STRIDE) || !defined(PIXELS) || \
     !defined(EIGHTS_HELD) || !defined(GROUP)
 #error "conv.cl needs -D A, B, OUT, KERNEL, STRIDE, PIXELS, EIGHTS_HELD, GROUP"
@@ -35,7 +35,7 @@
 #define OUT8 (OUT / 8)
 #define PAD (KERNEL / 2)
 
-// One tap of one input: `count` channels of PIXELS pixels into the accumulators.
+// Adds one tap of one input, `count` channels of PIXELS pixels, to the accumulators.
 #define TAP(buffer, channels, first)                                                                      \
     from = buffer + (at + shift) * channels;                                                              \
     for (int c = 0; c < channels; ++c) {                                                                  \
@@ -65,8 +65,8 @@ static inline void compute(global const stored *restrict a, global const stored 
                            const Layer layer, const int block, const int x0, const int y,
                            global uchar *restrict changes)
 {
-    // Input pixel under the kernel's corner. Pixels beyond the row are computed, too, from any values there, but not
-    // stored.
+    // Input pixel under the kernel's corner. Pixels behind the row's end are computed, too, from any values there, but
+    // not stored.
     const int at = (y * STRIDE + 1 - PAD) * layer.in_columns + x0 * STRIDE + 1 - PAD;
     global const stored *from;
 

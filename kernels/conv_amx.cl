@@ -7,13 +7,13 @@
 //  bias    in  (16 SIXTEENS)  of the outputs and of the gate
 //
 // Three taps of a row are 3 C values side by side, so 16 pixels x 32 of these values are one tile, whose rows are
-// STRIDE pixels apart. Values that a row's last step reads beyond them meet weights of 0. An output's sum depends on its own
-// inputs alone, so tiles may be left out.
+// STRIDE pixels apart. A row's last step reads further values, whose weights are 0. An output's sum depends only on its
+// own inputs, so tiles may be left out.
 // Build -D STORED=BFLOAT16 -D A -D B -D OUT (multiples of 8; A may be 4) -D STRIDE, optionally -D EMULATE (amx.clh) -D
 // GATED -D RELU -D MARK (change_map.clh).
-// -D IMAGE, where OUT is 24: the outputs go through outc and become the image; color and what follows as in
-// winograd_image.cl, but outc_weight (2, 16, 16, 2) are tiles like `weight`: bfloat16, and the remainders of that rounding.
-// Launch (any number of work-items), work-groups of 1, over tiles of 32 x 4 pixels (tile_list.clh).
+// -D IMAGE, where OUT is 24: the outputs go through outc and become the image; color and the arguments after it as in
+// winograd_image.cl, but outc_weight (2, 16, 16, 2) are tiles like `weight`: bfloat16, and the remainders of that
+// rounding. Launch (any number of work-items), work-groups of 1, over tiles of 32 x 4 pixels (tile_list.clh).
 #if !defined(A) || !defined(B) || !defined(OUT) || !defined(STRIDE)
 #error "conv_amx.cl needs -D A, B, OUT, STRIDE"
 #endif
@@ -34,8 +34,8 @@
 #define ACROSS 32
 #define TILE_VALUES 512  // bfloat16 of a tile of weights
 
-// Values of a step. The row of a tile that lies in two cache lines takes as long to load as four others: with 24
-// channels rows of 24 values, a tap each, do so less often than rows of 32, and take no more steps.
+// Values of a step. A row of a tile that lies in two cache lines takes as long to load as four other rows. With 24
+// channels, rows of 24 values, a tap each, lie so less often than rows of 32, and take no more steps.
 #define IN_STEP(channels) ((channels) == 24 ? 24 : 32)
 #define LEAST_STEP ((A == 24 && (B == 24 || B == 0)) ? 24 : 32)
 
@@ -43,8 +43,7 @@
 #error "conv_amx.cl needs -D STORED=BFLOAT16"
 #endif
 
-// Brings the part-th of 12 parts of a tile's input into the cache: half a row of pixels, or at stride 2 one of its nine
-// rows.
+// Prefetches one of 12 parts of a tile's input: half a row of pixels, or at stride 2 one of its nine rows.
 static inline void prefetch_rows(global const stored *from, const int channels, const int line, const int part)
 {
 #ifndef EMULATE
@@ -55,9 +54,9 @@ static inline void prefetch_rows(global const stored *from, const int channels, 
 #endif
 }
 
-// Of 2 x 16 pixels, the products of one input with one or two parts of the outputs are added to tiles 0 .. 3; meanwhile
-// parts of the next tile's input are fetched, and some pixels of the row before are finished. Defined as a macro since
-// tiles have numbers, no addresses.
+// Adds the products of one input of 2 x 16 pixels with one or two parts of the outputs to tiles 0 .. 3. Meanwhile it
+// prefetches parts of the next tile's input, and finishes some pixels of the previous row. A macro, since tiles have
+// numbers, not addresses.
 #define ADD_PRODUCTS(from, channels, line, weights, two, next, slot)                                         \
     for (int tap = 0; tap < 3; ++tap) {                                                                      \
         if (n == 0) prefetch_rows(next, channels, line, 3 * row + tap);                                      \
@@ -90,7 +89,7 @@ static inline ushort16 rounded(const float16 value)
 }
 
 #ifdef IMAGE
-// ReLU, rounding: a row's pixels, whose sums lie by part, pixel and output, as rows of tiles.
+// ReLU and rounding of a row's pixels: sums in the order part, pixel, output become rows of tiles.
 static inline void features_of(const float *sums, uint16 *features)
 {
     for (int p = 0; p < ACROSS; ++p) {
@@ -100,7 +99,7 @@ static inline void features_of(const float *sums, uint16 *features)
     }
 }
 
-// Writes two rows of the image for `pixels` pixels from (y, x) on: the upsampled frame and what outc adds to it.
+// Writes two rows of the image for `pixels` pixels from (y, x) on: the upsampled frame plus outc's sums.
 static inline void finish_image(const float *residuals, const int y, const int x, const int pixels, const int width,
                                 global const float4 *color, global float *image, const int rows, const int columns,
                                 const int top)
@@ -118,16 +117,16 @@ static inline void finish_image(const float *residuals, const int y, const int x
 }
 #define FINISH(slot)
 #else
-#define SLOTS ((SIXTEENS + 1) / 2 * (B ? 6 : 3))  // rows of taps of all products for a row of outputs
-#define IN_SLOT ((ACROSS + SLOTS - 1) / SLOTS)  // pixels that are finished meanwhile
+#define SLOTS ((SIXTEENS + 1) / 2 * (B ? 6 : 3))  // one for each row of taps of all products for a row of outputs
+#define IN_SLOT ((ACROSS + SLOTS - 1) / SLOTS)  // pixels to finish in each slot
 
-// A row of outputs whose sums are complete: by part, pixel and output.
+// A row of outputs with complete sums, in the order part, pixel, output.
 typedef struct {
     const float *sums;
     int y, x, pixels;
 } Row;
 
-// Gate, ReLU, rounding: stores some pixels of a row, those of the slot; `open` is filled by slot 0.
+// Gate, ReLU and rounding: stores the slot's pixels of a row; slot 0 fills `open`.
 static inline void finish(const Row row, const int slot, float *open, global stored *out, const int out_columns,
                           const int out_channels, global uchar *changes)
 {

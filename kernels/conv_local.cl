@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT
-// Building block conv for GPUs, reference stss_ref/conv.py::conv and ::gated: 3 x 3, stride 1 or 2. A work-group brings
+// Building block conv for GPUs, reference stss_ref/conv.py::conv and ::gated: 3 x 3, stride 1 or 2. A work-group copies
 // a tile of the input and its weights into local memory; a work-item holds eight outputs of 4 x ROWS pixels in
 // registers. Buffers and weights as in conv.cl.
 //
@@ -26,15 +26,15 @@
 #define READ_WIDE (STRIDE * (WIDE - 1) + 3)
 #define READ_TALL (STRIDE * (TALL - 1) + 3)
 #define PITCH (36 * STRIDE)  // floats of a row of the tile: whole float4s
-#define PLANE ((PITCH * READ_TALL + 7) / 8 * 8 + 4)  // planes 4 apart then lie in other banks than those beside them
-#define QUADS (CHUNK * OUT / 4)  // fours of weights of a tap
+#define PLANE ((PITCH * READ_TALL + 7) / 8 * 8 + 4)  // so neighbouring planes begin in different banks
+#define QUADS (CHUNK * OUT / 4)  // groups of four weights of a tap
 #define ITEMS (32 * SLICES)
 #define TILE_FLOATS (CHUNK * PLANE)
 #define PIXELS (4 * ROWS)
 #define READ_FOR(r) (STRIDE * (r) + 3)
 
-// A work-item holds all lines of the input that its pixels read; or those of a row of taps, where rows of pixels share
-// little and all take many registers.
+// A work-item holds all lines of the input that its pixels read; or only those of one row of taps, if its rows of
+// pixels share few lines and all would take many registers.
 #if STRIDE == 2 && ROWS == 2
 #define TAPS_AT_ONCE 3
 #define LINES ROWS
@@ -59,8 +59,8 @@
 #define READ4(buffer, i) LOAD4(buffer, i)
 #endif
 
-// Loads channels `first` .. first + CHUNK - 1 of the pixels under the tile, whose corner is the buffers' pixel (top,
-// left). Only pixels that are not stored need values beyond the buffers.
+// Loads channels `first` .. first + CHUNK - 1 of the tile's input pixels; its corner is the buffers' pixel (top, left).
+// Only pixels that are not stored read values beyond the buffers.
 static inline void fetch_floats(global const stored *a, global const stored *b, local float *tile, const int item,
                                 const int first, const int top, const int left, const int in_rows, const int in_columns)
 {
@@ -77,8 +77,8 @@ static inline void fetch_floats(global const stored *a, global const stored *b, 
     }
 }
 
-// The values that a work-item reads from one row of a plane: in[x] is x columns right of the input under its first
-// pixel's left tap.
+// The values that a work-item reads from one row of a plane: in[x] is x columns right of the input of its first pixel's
+// left tap.
 static inline void read_row(local const float *from, float *in)
 {
     const float4 v = *(local const float4 *)from;
@@ -151,7 +151,7 @@ kernel __attribute__((reqd_work_group_size(8, 4, SLICES))) void conv_local(
                         for (int i = 0; i < PIXELS; ++i) sum[i] += w * INPUT(tap, i);
                     }
 #ifdef GATED
-                    // The gate's channels are dealt out among the slices.
+                    // The slices share the gate's channels.
                     if (c % SLICES == slice) {
 #pragma unroll
                         for (int tap = 0; tap < TAPS_AT_ONCE; ++tap) {
@@ -166,7 +166,7 @@ kernel __attribute__((reqd_work_group_size(8, 4, SLICES))) void conv_local(
         }
 
 #ifdef GATED
-        // The slices' sums, through the tile.
+        // Adds the slices' sums, through the tile's memory.
         local float *parts = tile + PIXELS * (ly * 8 + lx);
         barrier(CLK_LOCAL_MEM_FENCE);
 #pragma unroll

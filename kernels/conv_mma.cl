@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT
 // Building block conv on matrix units, reference stss_ref/conv.py::conv and ::gated: 3 x 3, stride 1 or 2, activations
 // and weights in half, sums in float32. Eight channels of a pixel lie together in the buffers, which is the order that
-// matrix units want. Arguments and buffers are conv.cl's, but
+// matrix units need. Arguments and buffers are conv.cl's, but
 //
 //  weight       in   (OUT / OUTPUTS, CHUNKS, STEPS, MATRICES, MATRIX) of uint: in the order in which work-items want
 //                    them, and the gate's with them,
@@ -40,10 +40,10 @@
 #define PITCH (34 * STRIDE)
 #define PLANE (PITCH * READ_TALL + 2)  // places of 16 bytes
 #define COLUMN(x) (STRIDE == 2 ? (x) % 2 * 34 + (x) / 2 : (x))
-// Places from the first tap's to that of step j.
+// Offset of step j's place from the first tap's, in places.
 #define TAP_AT(j) ((j) % EIGHTS_AT_ONCE * PLANE + (j) / EIGHTS_AT_ONCE / 3 * PITCH + COLUMN((j) / EIGHTS_AT_ONCE % 3))
 
-// Eight channels of each pixel under the tile; see conv_local.cl.
+// Loads eight channels of each input pixel of the tile; see conv_local.cl.
 static inline void fetch_eights(global const ushort *a, global const ushort *b, local uint4 *tile, const int item,
                                 const int first, const int top, const int left, const int in_rows, const int in_columns)
 {
@@ -57,14 +57,14 @@ static inline void fetch_eights(global const ushort *a, global const ushort *b, 
     }
 }
 
-// What a work-item's sums of product n begin with; `bias` is that of its outputs.
+// The initial sums of a work-item's product n; `bias` is that of its outputs.
 static inline float4 begin(global const float *bias, const float gate_bias, const int n)
 {
     const float2 v = 2 * n < EACH ? vload2(n, bias) : (float2)(gate_bias);
     return (float4)(v, v);
 }
 
-// The gate of a work-item's k-th pixel: the value behind its outputs.
+// The gate of a work-item's k-th pixel: the value after its outputs.
 static inline float opening(const float4 sum, const int k)
 {
     return 1.0f / (1.0f + exp(-(k ? sum.z : sum.x)));
@@ -106,7 +106,7 @@ kernel __attribute__((reqd_work_group_size(LANES, WAVES, 1))) void conv_mma(
         global uchar *marks = changes;
 #endif
         const int left = TILE_COLUMN(tiles[t]) * 32;
-        float4 sum[2 * ROWS][MATRICES];  // of pixels UNIT (i % 2) .. of row i / 2
+        float4 sum[2 * ROWS][MATRICES];  // for pixels UNIT (i % 2) .. of row i / 2
         UNROLL
         for (int n = 0; n < MATRICES; ++n) {
             const float4 v = begin(bias + from_output, gate_bias, n);
@@ -121,7 +121,7 @@ kernel __attribute__((reqd_work_group_size(LANES, WAVES, 1))) void conv_mma(
             global const uint *matrices = weight + (block * CHUNKS + chunk) * STEPS * MATRICES * MATRIX;
             UNROLL
             for (int step = 0; step < STEPS; ++step) {
-                // The last eight may have no partner: the other half is multiplied by weights of 0.
+                // The last eight may have no partner: the other half has weights of 0.
                 const int from = TAP_AT(2 * step),
                           then = TAP_AT(2 * step + 1 < 9 * EIGHTS_AT_ONCE ? 2 * step + 1 : 2 * step);
                 uint2 w[MATRICES];

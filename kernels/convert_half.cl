@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
-// Half and back, as activations are stored and loaded, by which stss_cl/device/conversion.py knows whether a processor's
-// instructions can be trusted.
+// Converts to half and back, as activations are stored and loaded: stss_cl/device/conversion.py tests a processor's
+// instructions with it.
 //
 //  buffer    dir  shape     content
 //  values    in   (8 n)     finite floats

@@ -42,7 +42,7 @@ kernel void image(global const stored *restrict feature, global const float4 *re
         for (int y = 4 * TILE_ROW(tiles[t]), i = 0; i < 4; ++i, ++y) {
             if (y < first_row || y >= height) continue;
             float8 f[12], sums[8];
-            // Beyond the row are zeros or the next row: these pixels are computed, but not written.
+            // Behind the row's end lie zeros or the next row: these pixels are computed, but not written.
             for (int c = 0; c < 12; ++c) f[c] = LOAD8(feature, ((y + 1) * feature_columns + x + 1) * 3 + c);
             residual((const float *)f, weight, bias, sums);
             write_pixels(sums, color, image, y, x, width, rows, columns, top);

@@ -3,23 +3,24 @@
 //
 //  buffer    dir  shape             content
 //  gbuffer   in   (H, W, 9)         normal 3, depth, roughness, metallic, base colour 3
-//  mask      in   (H, W) of MASK    1 = to be trusted
+//  mask      in   (H, W) of MASK    1 = can be trusted
 //  eighth    out  padded, (16)      both at 1/8 size: gbuffer 9, mask, zeros 6
 //
-// `dirty` (H / 4, W / 4, rounded up to whole eights of pixels): where MARKS(changes), only pixels with a dirty tile are
+// `dirty` (H / 4, W / 4, rounded up to whole eights of pixels): if MARKS(changes), only pixels with a dirty tile are
 // computed.
 // `height`, `width`: of the frame; `down`, `across`: of `eighth`, whose row 0 is the frame's row `top`.
 // Build -D MASK=float or uchar, optionally -D STORED.  Launch (across, down), or more.
 //
-// Where MARKS(changes), the output's map, a value is compared with the one that is stored, and marked where bits came
-// to differ (change_map.clh).
+// If MARKS(changes), the output's map, a value is compared with the stored one, and marked if bits differ
+// (change_map.clh).
 #ifndef MASK
 #error "downsample_8.cl needs -D MASK"
 #endif
 #include "common.clh"
 #include "tile_list.clh"
 
-// The mean of pixels 8i + 3 and 8i + 4 each way; beyond the frame its last row and column are repeated (pad_to_8).
+// The mean of pixels 8i + 3 and 8i + 4 along each axis; beyond the frame its last row and column are repeated
+// (pad_to_8).
 kernel void downsample_8(global const float *restrict gbuffer, global const MASK *restrict mask,
                          global stored *restrict eighth, const int height, const int width, const int down,
                          const int across, const int columns, const int top, global uchar *restrict changes,

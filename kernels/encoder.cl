@@ -4,15 +4,15 @@
 //  buffer   dir  shape              content
 //  color    in   (H, W, 6)          occlusion_warp and warped of the newest frame
 //  gbuffer  in   (H, W, 9)          normal 3, depth, roughness, metallic, base colour 3
-//  mask     in   (H, W)             1 = to be trusted
+//  mask     in   (H, W)             1 = can be trusted
 //  history  in   (3, H, W, 4)       oldest, middle, newest
 //  input    out  padded, (24)       color 6, color * mask 6, gbuffer 9, zeros 3
-//  base     out  (H8, W8, 4)        color 0..2 and 0: what the decoder adds
+//  base     out  (H8, W8, 4)        color 0..2 and 0: the image that the decoder adds
 //  padded   out  3 padded, (4)      the history
 //  bad      out  (2)                set to 1 where an input is not finite: color, gbuffer, mask; history
 //
 // Beyond H, W up to multiples of 8 the last row and column are repeated.
-// The outputs may be a strip of the frame: their row 0 is its row `top`.
+// The outputs may be a strip of the frame: their row 0 is the frame's row `top`.
 // Build optionally -D STORED -D ROW_AT_ONCE.  Launch (W8, H8), and for the history (W8, H8, 3) or, with ROW_AT_ONCE,
 // (1, H8, 3); H8 is the strip's, a multiple of 8.
 #include "common.clh"

@@ -14,8 +14,8 @@
 // Build -D KEYS=32 -D VALUES=64 (multiples of 8) -D WORKERS (16 or 1), optionally -D STORED.  Launch (any multiple of
 // WORKERS).
 //
-// Where MARKS(changes), the output's map, a value is compared with the one that is stored, and marked where bits came
-// to differ (change_map.clh).
+// If MARKS(changes), the output's map, a value is compared with the stored one, and marked if bits differ
+// (change_map.clh).
 #if !defined(KEYS) || !defined(VALUES)
 #error "erm.cl needs -D KEYS, VALUES"
 #endif
@@ -49,7 +49,7 @@ kernel void normalise(global const stored *restrict key, global stored *restrict
     }
 }
 
-// sum_d w(d) m V(p + d) / max(sum_d w(d), 1e-6), w(d) = relu(m(p + d) K(p + d) . K(p)): the mask is applied here to
+// sum_d w(d) m V(p + d) / max(sum_d w(d), 1e-6), w(d) = relu(m(p + d) K(p + d) . K(p)): here the mask is applied to
 // keys and values.
 kernel void attend(global const stored *restrict unit, global const stored *restrict value,
                    global const stored *restrict eighth, global stored *restrict reshaded, const int height,

@@ -3,8 +3,8 @@
 //
 //  buffer           dir     shape             unit
 //  motion0..4       in      (H, W, 2)         px, newest first; as many as the largest step are read
-//  motions          in      (3, H, W, 2)      px, current -> the colour frames, newest first: the result of chain_steps,
-//                                             or where it did not run motion0; read if `is_warped`
+//  motions          in      (3, H, W, 2)      px, current -> the colour frames, newest first: result of chain_steps, or
+//                                             motion0 if that did not run; read if `is_warped`
 //  color            in      (H, W, 3)         of a colour frame
 //  gbuffer          in      (H, W, 9)         normal 3, depth, roughness, metallic, base colour 3
 //  nov              in      (H, W)
@@ -12,25 +12,24 @@
 //  normal           in      (H, W, 3)         likewise; from pixel to pixel normal_stride floats: 3, or 9 within a
 //                                             G-buffer
 //  position         in      (H, W, 3)         likewise, cm
-//  splat            in/out  (2, H, W)         keys and first of occlusion_warp.cl; only places that a hole looks up
-//                                             are wanted
+//  splat            in/out  (2, H, W)         keys and first of occlusion_warp.cl, only at places that a hole looks up
 //  samples          in/out  (H, W, 4)         reshade.cl's: -D RESHADE
 //  history          in/out  (3, R+2, C+2, 4)  oldest, middle, newest; warped rgb >= 0, mask; an `image` of it
 //  x0               out     (R+2, C+2, 24)    the newest frame, its holes filled (>= 0), second colour, the six * mask,
 //                                             gbuffer, 0 0 0
 //  color3           out     (R, C, 4)         rgb of the same, 0
-//  mask             out     (H, W)            1 = newest frame to be trusted
+//  mask             out     (H, W)            1 = newest frame can be trusted
 //  bad              out     (5)               set to 1 where an input is not finite, if `checks`
-//  dirty, changes   in, out                   maps of the tiles to compute, and of those that then differ, of x0 and
-//                                             the history; null: all are computed, none marked
+//  dirty, changes   in, out                   maps of the tiles to compute, and of the tiles of x0 and the history that
+//                                             changed; null: all are computed, none marked
 //
 // R, C = rows, columns = H, W rounded up to multiples of 8, filled by repeating the last row and column. Pixel (y, x)
-// of history and x0 is at (y + 1, x + 1); their border of zeros is never written.
-// history, x0 and color3 may be a strip of the frame: R rows whose row 0 is the frame's row `top`; mask and keys are of
-// the whole.
-// Build: -D of motion_chain.clh and holes.cl, optionally -D STORED (history and x0), -D STREAM, and -D EIGHT_PIXELS:
-// eight pixels in a row to a work-item, for processors; -D LONGEST where GATHER is gather_longest; -D DETAIL: the
-// second colour is that of detail.clh;
+// of history and x0 is at (y + 1, x + 1); no kernel writes their border of zeros.
+// history, x0 and color3 may be a strip of the frame: R rows whose row 0 is the frame's row `top`; mask and keys cover
+// the whole frame.
+// Build: -D of motion_chain.clh and holes.cl, optionally -D STORED (history and x0), -D STREAM, and -D EIGHT_PIXELS: a
+// work-item has eight pixels in a row, for processors; -D LONGEST if GATHER is gather_longest; -D DETAIL: the second
+// colour is that of detail.clh;
 // -D RESHADE: stage reshade fills the holes.
 // Order: chain_steps, prepare_older for each older frame where the history is read, prepare_newest, splat_nearest,
 // splat_first (with -D RESHADE find_samples), fill_holes; then downsample_8.cl.
@@ -57,7 +56,7 @@ kernel void chain_steps(global const float2 *restrict motion0, global const floa
 {
     const int left = get_global_id(0) * AT_ONCE, y = get_global_id(1);
     if (left >= width || y >= height) return;
-    // Elsewhere nothing has moved, and the motion is 0 already.
+    // In other tiles nothing moves, and the motion is 0 already.
     if (MARKS(dirty) && !any_dirty(dirty, left, y, (width + 7) / 8 * 8, AT_ONCE)) return;
     // clang-format off
     const Chain c = {{motion0, motion1, motion2, motion3, motion4}, newest, middle, oldest,
@@ -72,7 +71,7 @@ kernel void chain_steps(global const float2 *restrict motion0, global const floa
     for (int x = left; x < least(left + AT_ONCE, width); ++x) chain_pixel(c, x, y);
 }
 
-// The pixels of a work-item.
+// Number of pixels of a work-item.
 INLINE void prepare_pixels(const Frame f)
 {
     const Task s = f.task;
@@ -103,7 +102,7 @@ kernel void prepare_older(PLANES(ARGUMENT) WRITTEN(ARGUMENT) global uchar *restr
     prepare_pixels(f);
 }
 
-// `stores`: the history's last image is written.
+// `stores`: write the history's last image, too.
 kernel void prepare_newest(PLANES(ARGUMENT) OLDER(ARGUMENT) WRITTEN(ARGUMENT) NEWEST(ARGUMENT)
                                global uchar *restrict changes,
                            const Task task)
@@ -142,7 +141,7 @@ kernel void splat_first(global const float2 *restrict motions, global const floa
                     height, width);
 }
 
-// The samples of their own that the frame's holes have: -D RESHADE.
+// Finds the samples of the holes' own surfaces: -D RESHADE.
 kernel void find_samples(PLANES(ARGUMENT) global const uchar *restrict mask, global float4 *restrict samples,
                          const Task task)
 {

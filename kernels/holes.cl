@@ -11,9 +11,9 @@
 //  position           in   (H, W, 3)  cm; may be non-finite
 //  nov                in   (H, W)     dot of normal and view vector
 //  depth              in   (H, W)     normalised to [0, 1]
-//  valid              out  (H, W)     1 = to be trusted, 0 = hole
+//  valid              out  (H, W)     1 = can be trusted, 0 = hole
 //
-// Build -D PAPER=1 for the paper's test of static surfaces, 0 for that by the footprint; -D FOOTPRINTS, FACING,
+// Build -D PAPER=1 for the paper's test of static surfaces, 0 for the test by the footprint; -D FOOTPRINTS, FACING,
 // GRAZING, DEPTH (cm), COSINE, STATIC_COSINE, MESH = the limits, float literals.  Launch (W, H) rounded up.
 #if !defined(PAPER) || !defined(FOOTPRINTS) || !defined(FACING) || !defined(GRAZING) || !defined(DEPTH) || \
     !defined(COSINE) || !defined(STATIC_COSINE) || !defined(MESH)
@@ -22,7 +22,7 @@
 #include "surface.clh"
 
 #if PAPER
-// Whether a squared distance is beyond bias; NaN counts as beyond.
+// Whether a squared distance is larger than bias squared; NaN counts as larger.
 static __attribute__((noinline)) bool is_beyond(const float4 squared, const float bias)
 {
     const float4 d = sqrt(squared);
@@ -37,7 +37,7 @@ INLINE bool is_far(global const float *previous, const float3 position, const Ta
     const float4 y = (float4)(top.s15, bottom.s15) - position.y;
     const float4 z = (float4)(top.s26, bottom.s26) - position.z;
     const float4 squared = x * x + y * y + z * z;
-    // Most places are nearer by more than the rounding of a square, and then need no root.
+    // Most places are nearer by more than the rounding of a square; these need no root.
     const float surely = bias > 1.0f && bias < 1e18f ? bias * bias * 0.99999f : -1.0f;
     if (squared.x <= surely && squared.y <= surely && squared.z <= surely && squared.w <= surely) return false;
     return is_beyond(squared, bias);
@@ -48,7 +48,7 @@ INLINE bool is_far(global const float *previous, const float3 position, const Ta
     (FACING * ((nov) < 0.0f ? -(nov) : (nov)) + GRAZING * (1.0f - ((nov) < 0.0f ? -(nov) : (nov))) + DEPTH * (depth))
 #else
 
-// The square of the distance to what is read between four places; NaN if it is NaN.
+// The square of the distance to the position read between four places; NaN if that is NaN.
 INLINE float squared_offset(global const float *previous, const float3 position, const Taps at)
 {
     const float8 top = read_pair3(previous, at.nw, at.right), bottom = read_pair3(previous, at.nw + at.below, at.right);
@@ -58,12 +58,12 @@ INLINE float squared_offset(global const float *previous, const float3 position,
 }
 #endif
 
-// Takes float4, as every function that is not inlined: Intel 2026.2 hands over a float3 wrongly, both ways.
+// Takes float4, as every function that is not inlined: Intel 2026.2 passes and returns float3 wrongly.
 static __attribute__((noinline)) bool is_turned(const float4 of, const float4 earlier, const float least_cosine)
 {
     const float3 normal = of.xyz, n = earlier.xyz;
     const float length = sqrt(sum3(n * n));
-    const bool surface = any(normal != 0.0f) || any(n != 0.0f);  // not by its length, whose square may be flushed to 0
+    const bool surface = any(normal != 0.0f) || any(n != 0.0f);  // not by its length: the square may be flushed to 0
     return surface && sum3(normal * n) / (length + 1e-5f) < least_cosine;
 }
 
@@ -77,7 +77,7 @@ INLINE float3 normal_between(global const float *normal, const Taps at, const in
 }
 
 // Whether the warped colour of pixel (x, y) is trusted, if it is on screen; s is the stencil read at its taps.
-// Positions are read only where s is 0. NoV and depth are the paper's test's alone.
+// Positions are read only where s is 0; only the paper's test reads NoV and depth.
 INLINE bool same_surface(const Taps at, const int x, const int y, const int height, const int width, const float s,
                          const float stencil, const float nov, const float depth, global const float *normal_previous,
                          global const float *normal, const int normal_stride, global const float *position_previous,

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT
-// Whether matrix units compute what mma.clh says: one product, four times.
+// Tests whether matrix units compute as mma.clh says: one product, four times.
 //
 //  buffer  dir  shape                         content
 //  pixels  in   (2, UNIT) of uint4            of each pixel the first eight channels, then the others

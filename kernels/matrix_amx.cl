@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT
-// One product of amx.clh, by which stss_cl/device/amx.py knows whether matrix units can be trusted.
+// One product of amx.clh: stss_cl/device/amx.py tests a processor's matrix units with it.
 //
 //  buffer  dir  shape        content
 //  a       in   (16, 32)     bfloat16

@@ -6,8 +6,9 @@
 //  warped            in      (H, W, 3)  the same after stage warp
 //  motion            in      (H, W, 2)  px, current -> earlier; non-finite does not splat
 //  depth             in      (H, W)     normalised, finite
-//  valid             in      (H, W)     1 = warped colour to be trusted
-//  keys              in/out  (H, W)     smallest depth that landed here, as depth_key; UNWANTED: no hole reads it
+//  valid             in      (H, W)     1 = warped colour can be trusted
+//  keys              in/out  (H, W)     smallest depth that landed here, as depth_key; UNWANTED: no hole reads this
+//                                     place
 //  first             in/out  (H, W)     the first pixel of that depth in raster order; NO_PIXEL
 //  occlusion_motion  out     (H, W, 2)  px, current -> earlier
 //  filled            out     (H, W, 3)  as color

@@ -5,21 +5,21 @@
 //  in      in   padded, (8 EIGHTS)  see common.clh
 //  out     out  padded, (8 EIGHTS)  twice the size
 //
-// Output o of N = 2n reads input position o (n - 1) / (N - 1): an integer quotient and its remainder, so that the
-// weight is rounded once however large the frame. The buffers may hold a strip of the frame: their row 0 is row `top`
-// of `full_height` (2 `top` of the output).
+// Output o of N = 2n reads input position o (n - 1) / (N - 1): an integer quotient and its remainder. So the weight is
+// rounded once, for frames of any size. The buffers may hold a strip of the frame: their row 0 is row `top` of
+// `full_height` (2 `top` of the output).
 // `tiles`, `count`: the tiles of 4 x 4 pixels of the output that are computed, of 32 x 4 where WORKERS is 1; see
 // tile_list.clh.
 // Build -D EIGHTS -D WORKERS (16 or 1), optionally -D STORED, -D PREFETCH (of what is compared).  Launch (any multiple
 // of WORKERS).
 //
-// Where MARKS(changes), the output's map, a value is compared with the one that is stored, and marked where bits came
-// to differ (change_map.clh).
+// If MARKS(changes), the output's map, a value is compared with the stored one, and marked if bits differ
+// (change_map.clh).
 #pragma OPENCL FP_CONTRACT OFF
 #include "common.clh"
 #include "tile_list.clh"
 
-// The two of `count` values along an axis that an output lies between, and its place between them.
+// The two neighbours of an output among `count` values along an axis, and its place between them.
 typedef struct {
     int first, second;
     float share;
@@ -50,8 +50,8 @@ kernel __attribute__((reqd_work_group_size(1, 1, 1))) void upsample_corners(
                   pixels = least(2 * width - left, WIDTH);
 #ifdef PREFETCH
         if (MARKS(changes)) {
-            // What is compared is read before it is written, and that would wait for memory: the next tile, line by
-            // line.
+            // A value is read for the comparison before it is written, which would wait for memory: so prefetch the
+            // next tile, line by line.
             const uint soon = tiles[least(t + 1, count[0] - 1)];
             for (int y = 1; y <= 4; ++y) {
                 global const stored *line =
@@ -73,7 +73,7 @@ kernel __attribute__((reqd_work_group_size(1, 1, 1))) void upsample_corners(
                 const float8 north = LOAD8(in, upper + i), south = LOAD8(in, lower + i);
                 down[i] = north + (south - north) * v.share;
             }
-            // From one output to the next the quotient grows by 0 or 1, as `between` would say.
+            // From one output to the next the quotient grows by 0 or 1, as in `between`.
             for (int j = 0, first = 0, over = rest; j < pixels; ++j, over += width - 1) {
                 if (over >= whole) over -= whole, ++first;
                 const float share = over / (float)whole;

@@ -5,7 +5,7 @@
 //  color              in      (H, W, 3)  the earlier frame, finite
 //  warped             in      (H, W, 3)  the same after stage warp
 //  motion             in      (H, W, 2)  px, current -> earlier; non-finite leads to no sample
-//  valid              in      (H, W)     1 = warped colour to be trusted
+//  valid              in      (H, W)     1 = warped colour can be trusted
 //  stencil_previous   in      (H, W)     object number of the earlier frame, 0 = static
 //  stencil            in      (H, W)     object number
 //  normal_previous    in      (H, W, 3)  world space
@@ -13,7 +13,7 @@
 //  position_previous  in      (H, W, 3)  cm; may be non-finite
 //  position           in      (H, W, 3)  cm; may be non-finite
 //  base_color         in      (H, W, 3)
-//  samples            in/out  (H, W, 4)  of holes: the mean of their own samples and their number; of others not read
+//  samples            in/out  (H, W, 4)  for holes: the mean of their own samples and its number; others are not read
 //  filled             out     (H, W, 3)  as color, at least 0
 //
 // Build: no options.  Launch (W, H) rounded up.

@@ -2,7 +2,7 @@
 // Stage rrm, reference stss_ref/rrm.py::rrm.
 //
 //  buffer     dir  shape   unit
-//  valid      in   (H, W)  1 = to be trusted
+//  valid      in   (H, W)  1 = can be trusted
 //  rectangle  arg  int4    y, x, height, width; px, within the frame
 //  masked     out  (H, W)  valid, 0 in the rectangle
 //

@@ -54,7 +54,7 @@ kernel __attribute__((reqd_work_group_size(GROUP, 1, 1))) void reduce_group(glob
     if (i == 0) out[get_group_id(0)] = part[0];
 }
 
-// The nearest wins, as in the splat: out[place[i]] = smallest key[i] of those with this place.
+// The smallest wins, as in the splat: out[place[i]] = smallest key[i] among those with this place.
 kernel void nearest(global const int *restrict place, global const int *restrict key, volatile global int *restrict out,
                     const int n)
 {
@@ -62,7 +62,8 @@ kernel void nearest(global const int *restrict place, global const int *restrict
     if (i < n) atomic_min(&out[place[i]], key[i]);
 }
 
-// Built once more with -cl-mad-enable. Speed in what a convolution does: 4 accumulators of 8, 64 operations a step.
+// Also built with -cl-mad-enable. Measures the speed of a convolution's inner loop: 4 accumulators of 8, 64 operations
+// a step.
 #pragma OPENCL FP_CONTRACT ON
 kernel void speed(global const float8 *restrict weights, global float8 *restrict out, const int steps)
 {

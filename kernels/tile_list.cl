@@ -1,12 +1,11 @@
 // SPDX-License-Identifier: MIT
 // Lists of tiles (tile_list.clh): the tiles of a layer's output that marked pixels of its inputs reach.
 //
-//  buffer   dir  shape                 content
+//  buffer   dir  shape                    content
 //  a, b, c  in   (map_rows, map_columns)  maps of the inputs: not 0 = marked, for each pixel (change_map.clh); a begins
-//                                         at a_first, and has one for
-//                                     each of `images`
-//  tiles    out  (count)               the list, in any order
-//  count    out  (1)                   its length; the caller clears it
+//                                         at a_first, and has one map for each of `images`
+//  tiles    out  (count)                  the list, in any order
+//  count    out  (1)                      its length; the caller clears it
 //
 // Tile t of the output, along either axis, reads the pixels step * t - before .. step * (t + 1) + beyond of the inputs.
 // `rows`, `columns`: of tiles, of each image; `span`: tiles of a work-item, at most 64.
@@ -18,7 +17,7 @@
 
 #define MOST_BEFORE 8
 
-// The tiles of the output and what they read of the maps, see above.
+// The tiles of the output and the part of the maps that they read, see above.
 typedef struct {
     int a_first, map_rows, map_columns;
     int step_y, step_x, before, beyond;
@@ -87,7 +86,7 @@ kernel void tile_list(global const uchar *restrict a, global const uchar *restri
             found |= (ulong)((*(const ulong_anywhere *)(from + reach.step_x * x) & read) != 0) << x;
     }
     if (!found) return;
-    // Without branches: what is written for a tile that is not found is overwritten.
+    // Without branches: the entry of a tile that is not marked is overwritten.
     int at = atomic_add(count, (int)popcount(found));
     for (int x = 0; x <= last - first && found >> x; ++x) {
         tiles[at] = (uint)row << 16 | (first + x);

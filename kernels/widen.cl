@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT
-// Building block widen, NumPy's astype(float32): planes of a display frame that came as half; every value is kept.
+// Building block widen, NumPy's astype(float32): planes of a display frame in half; every value is kept.
 //
 //  buffer  dir  shape
 //  from    in   (count)   half

@@ -8,7 +8,7 @@
 //  b            in   padded, (B)                 second input, concatenated behind it; not read where B = 0
 //  weight       in   (PRODUCTS, VECTORS / VECTORS_HELD, A + B, VECTORS_HELD VECTOR)  G w G^T, transformed in float64 by
 //                                                                                    stss_cl/network/pack_weights.py
-//  gate_weight  in   (PRODUCTS, A + B)           of the one gate channel; read if GATED, but where a lane behind the
+//  gate_weight  in   (PRODUCTS, A + B)           of the one gate channel; read if GATED, unless a lane behind the
 //                                                outputs has it
 //  bias         in   (OUT)
 //  out          out  padded, (OUT_CHANNELS)      OUT channels of it, from layer.out_first on
@@ -19,11 +19,11 @@
 // VECTORS_HELD (of outputs, likewise, divides VECTORS), optionally -D PAIRED (winograd_products.clh) -D GATED -D RELU
 // -D STORED -D PREFETCH (of the next strip).  winograd_image.cl is the same with the decoder's output behind it.
 // `tiles`, `count`: the tiles of the output, SIDE x SIDE pixels each, that are computed, see tile_list.clh.
-// Launch (any number of work-items), work-groups of 1: a work-item takes a strip of TILES after the other, whose
+// Launch (any number of work-items), work-groups of 1: a work-item takes one strip of TILES after the other, so its
 // scratch stays in L2.
 //
-// Where MARKS(changes), the output's map, a value is compared with the one that is stored, and marked where bits came
-// to differ (change_map.clh).
+// If MARKS(changes), the output's map, a value is compared with the stored one, and marked if bits differ
+// (change_map.clh).
 #if !defined(STRIDE) || !defined(SIDE) || !defined(A) || !defined(B) || !defined(OUT) || !defined(OUT_CHANNELS) || \
     !defined(USED) || !defined(TILES) || !defined(TILES_HELD) || !defined(VECTORS_HELD) || !defined(VECTOR)
 #error "winograd.cl needs -D STRIDE, SIDE, A, B, OUT, OUT_CHANNELS, USED, TILES, TILES_HELD, VECTORS_HELD, VECTOR"
@@ -43,7 +43,7 @@ kernel __attribute__((reqd_work_group_size(1, 1, 1))) void winograd(
     global uchar *restrict changes)
 {
     float8 M[PRODUCTS * TILES * OUT8];
-    vec gates[PRODUCTS * GATES / VECTOR], open[SIDE * SIDE * GATES / VECTOR];  // of no use where not GATED
+    vec gates[PRODUCTS * GATES / VECTOR], open[SIDE * SIDE * GATES / VECTOR];  // unused if not GATED
     clear_gates(gates);
     a += layer.a_first;
     const int2 part = part_of_list(count[0], TILES);

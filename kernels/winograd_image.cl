@@ -23,7 +23,7 @@ kernel __attribute__((reqd_work_group_size(1, 1, 1))) void winograd_image(
     global const uint *restrict tiles, global const int *restrict count)
 {
     float8 M[PRODUCTS * TILES * OUT8], features[TILES_TOGETHER * SIDE * SIDE * OUT8];
-    vec gates[PRODUCTS * GATES / VECTOR], open[SIDE * SIDE * GATES / VECTOR];  // of no use where not GATED
+    vec gates[PRODUCTS * GATES / VECTOR], open[SIDE * SIDE * GATES / VECTOR];  // unused if not GATED
     clear_gates(gates);
     a += layer.a_first;
     const int2 part = part_of_list(count[0], TILES);
