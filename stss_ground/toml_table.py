@@ -71,6 +71,14 @@ class Table:
             raise self.fail(key, "one line of text", value)
         return value
 
+    def texts(self, key: str) -> tuple[str, ...]:
+        """The value of a key that must be one line of text, or a list of them, none empty."""
+        value = self.take(key, "text, or a list of texts", (str, list))
+        texts = cast("list[Any]", value if isinstance(value, list) else [value])
+        if not texts or not all(isinstance(text, str) and text and text.isprintable() for text in texts):
+            raise self.fail(key, "one line of text, or a list of them", value)
+        return tuple(texts)
+
     def choice(self, key: str, choices: Collection[str]) -> Any:
         """The value of a key that must be one of ``choices``."""
         value = self.rest.pop(key, None)

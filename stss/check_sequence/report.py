@@ -110,7 +110,7 @@ def check(
         findings.append(CheckFinding("note", f"profile: {table.name}, by the channels' names; --profile takes another"))
     tables: dict[str, object] = {"profile": table.name}
     try:
-        numbers = sorted(find_frames(Path(sequence_path), {table.file_of(buffer) for buffer in BUFFERS}))
+        numbers = sorted(find_frames(Path(sequence_path), table.endings))
         findings += missing_frames(numbers)
         bar = partial(track, console=console, text="reading headers")
         sequence = replace(reading, profile=table, non_finite="mask").open(sequence_path, bar)
@@ -118,7 +118,7 @@ def check(
         if not looked:
             raise InputError(f"{sequence_path}: no frames from {frames}; it has {numbers[0]} to {numbers[-1]}")
         findings += missing_buffers(sequence, looked)
-        findings += [CheckFinding("warning", text) for text in (sequence.one_view,) if text]
+        findings += [CheckFinding("warning", text) for text in sequence.alone]
         findings += data_windows(sequence, looked)
         tables |= {"size": list(sequence.size), "frames": _frame_table(sequence, looked)}
         tables["summary"] = summary(looked, sequence.size)

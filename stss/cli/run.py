@@ -65,8 +65,8 @@ def run(
     frames = reading.open(sequence, partial(track, console=console, text="reading headers"))
     if reading.profile is None:
         _tell(f"profile: {frames.profile.name}, by the channels' names; --profile takes another")
-    if frames.one_view:
-        _tell(frames.one_view)
+    for note in frames.alone:
+        _tell(note)
     if frames.solves_camera:
         _tell("camera: from position and depth; --camera CSV gives another")
     if reading.background == "camera":

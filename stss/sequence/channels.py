@@ -51,6 +51,14 @@ def find_buffers(header: Header, profile: Profile, buffers: Collection[str]) -> 
     return by_layer[best[0]]
 
 
+def layers_of(header: Header, profile: Profile, color: Source) -> list[str]:
+    """The layers of a file that have all channels of a colour, the one first that ``color`` is of; "" where it is of none."""
+    names = _names(header, profile.view)
+    layers = sorted({name.rsplit(".", 2)[0] for name in names if name.count(".") >= 2})
+    by_layer = {layer: _in_layer(header.path, names, profile, ["color"], layer).get("color") for layer in layers}
+    return sorted((layer for layer, source in by_layer.items() if source), key=lambda layer: by_layer[layer] != color) or [""]
+
+
 def view_of(name: str, views: Collection[str]) -> str | None:
     """The view that a channel's full name has among its parts, such as left in ``layer.pass.left.R``; None: it has none."""
     return next((part for part in name.split(".")[:-1] if part in views), None)
@@ -94,8 +102,8 @@ def missing_buffers(profile: Profile, buffers: Collection[str], where: object, t
     parts: list[str] = []
     for buffer in buffers:
         names_wanted = " or ".join(", ".join(names) for names in profile.channels[buffer]) or "a constant"
-        ending = profile.file_of(buffer)
-        file = f" in a file NAME{ending}.NNNN.exr" if ending else ""
+        endings = " or ".join(f"NAME{ending}.NNNN.exr" for ending in profile.files_of(buffer) if ending)
+        file = f" in a file {endings}" if endings else ""
         hint = f" ({profile.hints[buffer]})" if buffer in profile.hints else ""
         parts.append(f"no {buffer}: profile {profile.name} expects {names_wanted}{file}{hint}")
     return InputError(f"{where}: {'; '.join(parts)}; found {', '.join(there) or 'nothing'}")

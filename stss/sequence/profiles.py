@@ -104,7 +104,8 @@ class Profile:
         path: its TOML file.
         channels: buffer -> alternatives in order of preference, each the full names of the buffer's channels.
             ``{layer}`` stands for the text before the last two dots; for nothing, with its dot, where no name has two.
-        files: buffer -> the ending of its file's name before the frame number; the other buffers share a file.
+        files: buffer -> the endings that its file's name may have before the frame number, in order of preference; the other buffers
+            share a file.
         motion: how motion is stored.
         depth: how depth is stored.
         normal: how the normal is stored.
@@ -127,15 +128,20 @@ class Profile:
     units_per_cm: float
     color_domain: Literal["linear", "display"]
     depth_normalisation: DepthMode
-    files: Mapping[str, str] = field(default_factory=dict[str, str])
+    files: Mapping[str, tuple[str, ...]] = field(default_factory=dict[str, tuple[str, ...]])
     camera: tuple[Channels, ...] = ()
     constants: Mapping[str, float] = field(default_factory=dict[str, float])
     hints: Mapping[str, str] = field(default_factory=dict[str, str])
     view: str = ""
 
-    def file_of(self, buffer: str) -> str:
-        """The end of the name of the buffer's file; "" for the file the others share."""
-        return self.files.get(buffer, "")
+    def files_of(self, buffer: str) -> tuple[str, ...]:
+        """The ends that the name of the buffer's file may have; "" for the file the others share."""
+        return self.files.get(buffer, ("",))
+
+    @property
+    def endings(self) -> set[str]:
+        """Those of all buffers."""
+        return {ending for buffer in BUFFERS for ending in self.files_of(buffer)}
 
 
 def profile_names() -> tuple[str, ...]:
@@ -206,7 +212,7 @@ def _profile(path: Path, top: Table) -> Profile:
         units_per_cm=top.number("units_per_cm", positive=True),
         color_domain=top.choice("color_domain", ("linear", "display")),
         depth_normalisation=top.choice("depth_normalisation", ("clip", "scale")),
-        files={buffer: files.text(buffer) for buffer in BUFFERS if buffer in files.rest},
+        files={buffer: files.texts(buffer) for buffer in BUFFERS if buffer in files.rest},
         camera=camera.names("attributes", 3) if "attributes" in camera.rest else (),
         constants={buffer: constants.number(buffer) for buffer in CONSTANTS if buffer in constants.rest},
         hints={buffer: hints.text(buffer) for buffer in BUFFERS if buffer in hints.rest},

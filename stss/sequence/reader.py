@@ -19,7 +19,7 @@ from stss.images.headers import MAX_BYTES, MAX_SIDE, Header, read_header
 from stss.images.windows import PixelWindow, union
 from stss.sequence.background import Background, background_motion, projection_of
 from stss.sequence.camera import CameraPose, camera_of, read_cameras
-from stss.sequence.channels import Source, find_buffers, missing_buffers, view_of
+from stss.sequence.channels import Source, find_buffers, layers_of, missing_buffers, view_of
 from stss.sequence.conventions import linear_depth, require_depth_buffer, to_specification
 from stss.sequence.find_files import find_frames
 from stss.sequence.profiles import BUFFERS, CONSTANTS, Profile, load_profile, profile_names
@@ -201,8 +201,23 @@ class Sequence:
         return tuple(self._carried(min(self.rendered), also)) if self.rendered else ()
 
     @property
-    def one_view(self) -> str:
-        """A note where the files have several views, of which nobody chose one; empty where they have not."""
+    def alone(self) -> tuple[str, ...]:
+        """Notes where the files have several views or layers with a colour, of which nobody chose one."""
+        return tuple(note for note in (self._one_view(), self._one_layer()) if note)
+
+    def _one_layer(self) -> str:
+        color = self.frames[self.numbers[0]].sources.get("color")
+        if color is None:
+            return ""
+        read, *others = layers_of(read_header(color.path), self.profile, color)
+        if not others:
+            return ""
+        return (
+            f"layers: {color.path.name} has the colour of {', '.join([read, *others])}; only {read} is read: "
+            "a profile with a base and the names of channels written out reads another"
+        )
+
+    def _one_view(self) -> str:
         frame = self.frames[self.numbers[0]]
         views = tuple(dict.fromkeys(view for path in frame.files for view in read_header(path).views))
         if len(views) < 2 or self.profile.view or "color" not in frame.sources:
@@ -326,7 +341,7 @@ def open_sequence(
             constants[buffer] = value
             if not 0 <= value <= 1:
                 raise InputError(f"{buffer}: expected a number from 0 to 1, found {value}")
-    files_by_number = find_frames(path, {table.file_of(buffer) for buffer in BUFFERS})
+    files_by_number = find_frames(path, table.endings)
     first: Header | None = None
     frames: dict[int, RawFrame] = {}
     for number in track(sorted(files_by_number)):
@@ -400,7 +415,7 @@ def find_profile(path: Path) -> Profile:
     for name in profile_names():
         table = load_profile(name)
         try:
-            files_by_number = find_frames(path, {table.file_of(buffer) for buffer in BUFFERS})
+            files_by_number = find_frames(path, table.endings)
             files = files_by_number[min(files_by_number)]
             headers = {ending: read_header(file) for ending, file in files.items()}
         except InputError as error:
@@ -431,8 +446,9 @@ def _frame_of(
     table: Path | None,
 ) -> RawFrame:
     sources: dict[str, Source] = {}
+    ends = {buffer: next((ending for ending in profile.files_of(buffer) if ending in headers), None) for buffer in BUFFERS}
     for ending, header in headers.items():
-        sources |= find_buffers(header, profile, [buffer for buffer in BUFFERS if profile.file_of(buffer) == ending])
+        sources |= find_buffers(header, profile, [buffer for buffer in BUFFERS if ends[buffer] == ending])
     files = tuple(header.path for header in headers.values())
     if cameras is None:
         where = next((x for x in (camera_of(header, profile) for header in headers.values()) if x is not None), None)

@@ -261,7 +261,7 @@ def test_the_other_eye_is_named(write_frames, tmp_path):
             (text,) = (line for line in lines if "views" in line)
             assert text == note
         left, right = (open_sequence(tmp_path / kind, load_profile("stss", view=eye)) for eye in ("left", "right"))
-        assert left.one_view == right.one_view == ""
+        assert left.alone == right.alone == ()
         np.testing.assert_array_equal(right.load(1).color[..., 0], 0.25 * left.load(1).color[..., 0])
         np.testing.assert_array_equal(right.load(1).position, left.load(1).position)
         assert all(name.startswith("right.") for source in right.frames[1].sources.values() for name in source.names)

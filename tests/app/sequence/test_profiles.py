@@ -50,6 +50,7 @@ def test_a_profile_is_a_file_like_any_other(tmp_path):
         ("nov =", "NoV =", "channels.nov: expected a list of lists of 1 names each, found nothing"),
         ("[normal]", "[files]\nalbedo = 'x'\n[normal]", "files.albedo: unknown key; known are color, motion"),
         ("[normal]", "[constants]\nroughness = 'x'\n[normal]", "constants.roughness: expected a number, found 'x'"),
+        ("[normal]", "[files]\nmotion = []\n[normal]", "files.motion: expected one line of text, or a list of them, found []"),
         ("[normal]", "[hints]\ndepth = ''\n[normal]", "hints.depth: expected one line of text, found ''"),
         ('kind = "planar"', 'kind = "device"', "depth.near: expected a number > 0, found nothing"),
         ("bias = 0\nscale = 1", "bias = 0\nscale = 1\nspace = 'view'", "normal.space: unknown key"),
@@ -120,6 +121,36 @@ def test_passes_are_found_by_the_names_of_every_blender(tmp_path, layer):
     sequence = open_sequence(tmp_path)
     assert sequence.profile.name == "blender"
     assert set(sequence.frames[1].sources) == set(BUFFERS) - {"nov"}
+
+
+@pytest.mark.parametrize("names", [{}, {"DiffCol": "Diffuse Color", "IndexOB": "Object Index"}])
+def test_a_file_for_each_pass_is_found_by_the_names_of_every_blender(tmp_path, names):
+    """Without an AOV for the base colour its pass is taken."""
+    for of, letters in {**PASSES, **dict.fromkeys(VALUES, "RGBA")}.items():
+        write_channels(tmp_path / f"{names.get(of, of)}0001.exr", {letter: np.ones((4, 4)) for letter in letters})
+    sequence = open_sequence(tmp_path)
+    assert sequence.profile.name == "blender-files"
+    assert set(sequence.frames[1].sources) == set(BUFFERS) - {"nov"}
+
+
+@pytest.mark.parametrize(("layers", "said"), [
+    (["ViewLayer"], []),
+    (["ViewLayer", "Back"], ["ViewLayer, Back"]),
+    (["Front", "Composite"], ["Front, Composite"]),
+])  # fmt: skip
+def test_a_layer_read_alone_is_said(tmp_path, layers, said):
+    """Blender's compositor writes a colour, too, which nobody reads."""
+    names = [f"{layers[0]}.{name}" for name in FILE_OUTPUT] + [
+        f"{layer}.Image.{letter}" for layer in layers[1:] for letter in "RGBA"
+    ]
+    if layers[1:] == ["Back"]:
+        names += [f"Back.{name}" for name in FILE_OUTPUT if not name.startswith("Image")]
+    names = [name.replace("Image", "Combined").replace(".V", ".X").replace("Depth.X", "Depth.Z") for name in names]
+    names = [name.replace("Xector", "Vector") for name in names]
+    write_channels(tmp_path / "a.0001.exr", {name: np.ones((4, 4)) for name in names})
+    notes = open_sequence(tmp_path).alone
+    assert [re.search("colour of (.*); only", note).group(1) for note in notes] == said
+    assert all(f"; only {layers[0]} is read: " in note for note in notes)
 
 
 def test_a_file_for_each_pass_is_found(tmp_path):
