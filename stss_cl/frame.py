@@ -30,8 +30,12 @@ class Frame:
         weights: the 92 tensors.
         device: to run on; None = ``stss_cl.device.discovery.open_device()``.
         precision: see ``stss_cl.options.PRECISIONS``.
-        gather: how the motion chain reads between pixels.
+        gather: how the motion chain reads between pixels (spec 2).
         memory_limit: see ``Network``.
+
+    Raises:
+        InputError: as ``Network``.
+        DeviceError: as ``Network``.
     """
 
     def __init__(
@@ -58,20 +62,28 @@ class Frame:
         normals: Plain,
         positions: Plain,
     ) -> tuple[Any, NDArray[np.bool_]]:
-        """Compute one display frame; the arguments are those of ``stss_ref.frame.FrameInputs``.
+        """Compute one display frame.
+
+        ``stss_ref.frame.FrameInputs`` gives units and ranges. All arrays are float32 and C-contiguous: NumPy arrays, or
+        ``pyopencl.array`` of this device's context. Four planes are those of this frame, then of the three colour frames.
 
         Args:
-            colors, motions, gbuffer, nov, stencils, normals, positions: float32, C-contiguous; NumPy arrays, or ``pyopencl.array``
-                of this device's context.
-            steps: how many display frames back the three colour frames lie.
+            colors: (3, H, W, 3) display-referred, of the colour frames, newest first.
+            steps: the distances of the three colour frames, in display frames back, newest first.
+            motions: (k, H, W, 2) px, newest first, k at least the largest step.
+            gbuffer: (H, W, 9) normal 3, depth, roughness, metallic, base colour 3.
+            nov: (H, W) dot of normal and view vector.
+            stencils: (4, H, W) object numbers.
+            normals: (4, H, W, 3) world space.
+            positions: (4, H, W, 3) cm.
 
         Returns:
             image: (2H, 2W, 3) float32, not clipped; a ``pyopencl.array`` if ``colors`` is one.
             valid: (H, W) False in the warping holes of the newest colour frame.
 
         Raises:
-            ArrayError: shapes, dtypes or steps are not a frame's, or an array other than motions and positions is not finite. Planes
-                of the two older colour frames are looked at only if the weights read them.
+            ArrayError: shapes, dtypes or steps do not fit, or an array other than motions and positions is not finite. Planes of the two
+                older colour frames are checked only if the weights read them.
         """
         stays = isinstance(colors, cla.Array)
         require_shape("gbuffer", gbuffer, (None, None, 9))
@@ -99,13 +111,13 @@ class Frame:
         return result, valid
 
     def expect(self, size: tuple[int, int]) -> None:
-        """Build in advance all that ``start`` needs for planes of (height, width), and have the runtime load or compile it."""
+        """Build all kernels and buffers that ``start`` needs for planes of (height, width), and let the runtime compile or load them."""
         layers = self.network.layers(*size)
         self._preparation(layers).load()
         layers.load()
 
     def start(self, sources: Sources, size: tuple[int, int], image: cl.Buffer) -> cl.Buffer:
-        """Enqueue the same for planes of (height, width) that are on the device and known to be finite.
+        """Enqueue the frame for planes of (height, width) that are on the device and known to be finite.
 
         Returns:
             The mask (H, W), uint8, until the next frame begins.
@@ -139,7 +151,7 @@ class Frame:
 
 
 STAGES = frozenset({"frame"})
-"""The stages that ``FrameStages`` knows."""
+"""The stages that ``FrameStages`` runs."""
 
 
 class FrameStages:

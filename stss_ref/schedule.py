@@ -16,7 +16,7 @@ class FrameKind(Enum):
 
 
 STEPS = {FrameKind.SF: (0, 2, 4), FrameKind.EF: (1, 3, 5)}
-"""How many display frames back the three colour frames lie, newest first (paper, Eq. 1)."""
+"""The distances of the three colour frames in display frames back, newest first (paper, Eq. 1)."""
 
 
 class Schedule(NamedTuple):
@@ -24,8 +24,8 @@ class Schedule(NamedTuple):
 
     Attributes:
         kind: SF or EF.
-        steps: how many display frames back each of the three colour frames lies, newest first. A step equal to the one before it
-            stands for a missing frame: the oldest frame found is repeated, with mask 0 (spec 1).
+        steps: the distance of each of the three colour frames, in display frames back, newest first; 0 to 5. A step equal to the previous
+            one stands for a missing frame: the oldest frame found is repeated, with mask 0 (spec 1).
     """
 
     kind: FrameKind
@@ -35,23 +35,23 @@ class Schedule(NamedTuple):
 def schedule(number: int, rendered: Container[int], *, reach: int = 5) -> Schedule | None:
     """Choose the three colour frames of display frame ``number``.
 
-    ``SF: t, t-2, t-4; EF: t-1, t-3, t-5``. No frame after ``t`` is asked for.
+    ``SF: t, t-2, t-4; EF: t-1, t-3, t-5``. No frame after ``t`` is looked up.
 
     Source: spec 1; paper, Eq. 1.
 
     Args:
-        number: the display frame ``t``.
+        number: the display frame ``t``, an integer of any sign.
         rendered: the display frames that have colour.
         reach: display frames back over which the chain of motion is unbroken; older frames count as missing.
 
     Returns:
-        The schedule; None for an EF whose previous display frame was not rendered: nothing can be made.
+        The schedule; None for an EF whose previous display frame was not rendered, since no frame can make it.
     """
     kind = FrameKind.SF if number in rendered else FrameKind.EF
     steps: list[int] = []
     for step in STEPS[kind]:
         here = step <= reach and number - step in rendered
-        # Past the first gap everything counts as missing: a history has no holes in the middle.
+        # Past the first gap all frames count as missing: a history has no gap in the middle.
         if here and len(set(steps)) == len(steps):
             steps.append(step)
         elif steps:

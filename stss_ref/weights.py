@@ -30,10 +30,11 @@ SECOND_COLORS: tuple[SecondColor, ...] = get_args(SecondColor)
 
 @dataclass(frozen=True, eq=False)
 class Weights(Mapping[str, Array]):
-    """The network's arrays by name, and the choices of their training. ``dataclasses.replace`` changes a part and keeps the rest.
+    """The network's arrays by name, and the choices of their training (spec 10). ``dataclasses.replace`` changes a part and keeps the rest.
 
     Attributes:
-        tensors: the array of each name in `TENSORS`.
+        tensors: for each name in `TENSORS` a float32 array of the shape given there: kernels (outputs, inputs, side, side), biases
+            (outputs,).
         second_color: the second colour that they were trained with.
         hole_test: the hole test that they were trained with.
         hole_fill: the stage that filled the holes in training.
@@ -54,16 +55,16 @@ class Weights(Mapping[str, Array]):
         return len(self.tensors)
 
     def __or__(self, tensors: Tensors) -> Weights:
-        """The same weights with ``tensors`` in place of those of their names."""
+        """The same weights with ``tensors`` in place of the arrays of the same names."""
         return replace(self, tensors={**self.tensors, **tensors})
 
     def convert(self, change: Callable[[Array], Array]) -> Weights:
-        """The same weights with ``change`` of each array."""
+        """The same weights, with ``change(array)`` in place of each array."""
         return replace(self, tensors={name: change(tensor) for name, tensor in self.tensors.items()})
 
 
 class WeightsError(ValueError):
-    """Weights are not what the network takes; the message names the tensor, what was expected and what was found."""
+    """Weights do not fit the network; the message names the tensor, the expected and the found value."""
 
 
 def _padded(length: int) -> int:
@@ -206,8 +207,10 @@ def multiply_adds(height: int, width: int) -> dict[str, int]:
 def check(tensors: Weights | Mapping[str, NDArray[Any]]) -> Weights:
     """Check that ``tensors`` are those of this network, and copy them.
 
+    Source: spec 10.
+
     Args:
-        tensors: array by name; if they are `Weights`, the rest of these is kept.
+        tensors: array by name, of the shapes in `TENSORS`; `Weights` keep the choices of their training.
 
     Returns:
         The same numbers, in the order of `TENSORS`, as C-contiguous read-only arrays of float32.

@@ -125,9 +125,9 @@ def open_backend(
 
     Args:
         name: one of ``BACKENDS``.
-        weights: loaded, or what `stss.weights.file.load` takes.
+        weights: loaded weights, or an argument of `stss.weights.file.load`.
         options: device, precision, memory limit and skipping.
-        tell: called with lines for the user, such as that a self-test is being run.
+        tell: called with lines for the user, for example when a self-test runs.
 
     Raises:
         InputError: there is no such backend, or it does not take these options.

@@ -33,7 +33,7 @@ class _Plane(NamedTuple):
 
 
 def float_hint(dtype: np.dtype[Any]) -> str:
-    """How to make floating-point numbers of a plane that has none."""
+    """How to convert a plane of integers to floating-point numbers."""
     most = {"uint8": "8-bit values by 255", "uint16": "16-bit values by 65535"}.get(dtype.name, "values by the one that means 1")
     return f"divide {most}"
 
@@ -52,11 +52,11 @@ _PLANES = {
     "metallic": _Plane(0, 0, 1, hint=_UNIT),
 }
 ROUNDING = 2.0**-8
-"""How far a plane in [0, 1] may lie outside of it: a step of 8 bits, as filters and rounding bring it about."""
+"""How far a plane in [0, 1] may lie outside of it: a step of 8 bits, as filters and rounding cause it."""
 
 
 def check_buffers(buffers: Buffers) -> None:
-    """Raise InputError for the first plane that is not as `Buffers` says: kind of number, shape, range, finite values.
+    """Raise InputError for the first plane that does not fit `Buffers`: dtype, shape, range, finite values.
 
     The message names the plane, the frame, what was expected, what was found and where.
     """

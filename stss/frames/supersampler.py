@@ -26,9 +26,9 @@ from stss_ref.weights import Weights
 
 
 class Supersampler:
-    """Makes twice the resolution and twice the frame rate out of display frames that come one by one.
+    """Makes twice the resolution and twice the frame rate from display frames, which the caller passes one by one.
 
-    It keeps copies of up to six display frames, 76 bytes a pixel each, so the caller may fill the same arrays again.
+    It keeps copies of up to six display frames, 76 bytes a pixel each, so the caller may reuse its arrays.
     """
 
     def __init__(
@@ -49,21 +49,21 @@ class Supersampler:
         """Open the backend.
 
         Args:
-            weights: ``auto`` (frames of which nothing is known: ``realtime``), ``realtime``, ``antialiased``, ``bilinear``, a
-                ``.safetensors`` file, or weights that are loaded already.
+            weights: ``auto`` (``realtime``, since nothing is known of the frames), ``realtime``, ``antialiased``, ``bilinear``, a
+                ``.safetensors`` file, or loaded weights.
             backend: ``cl``, ``ref`` or one from `open_backend`; then the options up to ``skip`` are its own.
             device: part of an OpenCL device's name; None: ``$STSS_DEVICE``, or the fastest.
             precision: of ``stss_cl.options.PRECISIONS``.
-            memory_limit: bytes for the network's buffers; larger frames go in strips, with the same bits.
+            memory_limit: bytes for the network's buffers; larger frames are computed in strips, with the same bits.
             skip: ``exact``: unchanged parts are not computed again, with the same bits; ``off``.
             transfer: ``srgb``: scene-linear; the part above 1 is carried past the network. ``none``: display-referred.
             depth: ``scale`` or ``clip`` (spec 0).
             copy: False: motion, NoV, stencil and position are not copied; the caller must not write to them for six frames.
-            check: False: planes are not looked at before they are used.
-            tell: called with lines for the user, such as that a device is tested.
+            check: False: planes are not checked before use.
+            tell: called with lines for the user, for example when a device is tested.
 
         Raises:
-            InputError: an option is none of these, or weights cannot be read.
+            InputError: an option has another value, or weights cannot be read.
             DeviceError: there is no such device.
         """
         require_choice("depth", depth, get_args(DepthMode))
@@ -80,18 +80,18 @@ class Supersampler:
         self._window: deque[DisplayFrame] = deque(maxlen=WINDOW)
 
     def push(self, buffers: Buffers) -> Output | None:
-        """Take the next display frame and make its output; no later frame is waited for.
+        """Take the next display frame and return its output, without waiting for a later frame.
 
-        A frame that says ``cut``, whose number does not follow the one before it, or of another size begins a new history.
+        A frame begins a new history if it has ``cut``, another size, or a number that does not follow the previous one.
 
         Args:
             buffers: the frame; ``color`` is None where it was not rendered.
 
         Returns:
-            The output; None for a frame that was not rendered with no rendered frame just before it: nothing can be made.
+            The output; None for a frame that was not rendered, if no rendered frame precedes it directly.
 
         Raises:
-            InputError: a plane is not as `Buffers` says, or another thread is within ``push``; nothing was taken.
+            InputError: a plane does not fit `Buffers`, or another thread is within ``push``; the frame was not taken.
         """
         if not self._busy.acquire(blocking=False):
             raise InputError(
@@ -117,7 +117,11 @@ class Supersampler:
         return None if output is None else decode(output, self._curve)
 
     def __call__(self, frames: Iterable[Buffers]) -> Iterator[Output]:
-        """Push frame after frame; yields every output before the next frame is asked for."""
+        """Push frame after frame; yields each output before it reads the next frame.
+
+        Raises:
+            InputError: as ``push``, or ``frames`` is not an iterable.
+        """
         require_kind("frames", frames, Iterable, "an iterable of Buffers")
         for buffers in frames:
             output = self.push(buffers)
@@ -129,7 +133,11 @@ class Supersampler:
         self._window.clear()
 
     def warm_up(self, size: tuple[int, int]) -> None:
-        """Build kernels and buffers for frames of (H, W), so that the first one does not wait for them."""
+        """Build kernels and buffers for frames of (H, W), so that the first one does not wait for them.
+
+        Raises:
+            InputError: ``size`` is not two whole numbers from 1 to 16384.
+        """
         require_kind("size", size, (tuple, list), "(H, W)")
         for n in size:
             require_kind("size", n, (int, np.integer), "(H, W) of whole numbers")

@@ -154,8 +154,11 @@ def load_profile(name_or_path: str | Path, **changes: Any) -> Profile:
 
     Args:
         name_or_path: the name or the path.
-        changes: keys to replace, tables as dictionaries: ``units_per_cm=0.01, motion={"unit": "ndc", "y": "up"}``. A table keeps what
-            its change leaves out; one of another ``kind`` keeps what that kind has too.
+        changes: keys to replace, tables as dictionaries: ``units_per_cm=0.01, motion={"unit": "ndc", "y": "up"}``. A table keeps
+            the entries that its change does not name; if ``kind`` changes, only those that the new kind has too.
+
+    Returns:
+        The profile; `Profile` explains each entry.
 
     Raises:
         InputError: there is no such profile; or a key of it is unknown, missing or wrong.

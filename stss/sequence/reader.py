@@ -318,12 +318,15 @@ def open_sequence(
         roughness: the same for roughness.
         non_finite: the policy for non-finite colours, normals, base colours, roughness, metallic, NoV and stencils.
             "refuse": InputError; "mask": 0, and no later frame trusts such a colour.
-        background: where the background's motion is from. "files": as they have it. "camera": from the turn of the camera, which the
-            positions of what stands still show (`stss.sequence.background`).
+        background: the source of the background's motion. "files": the files' motion. "camera": the rotation of the camera, which the
+            positions of static geometry give (`stss.sequence.background`).
         track: may show how many headers are read.
 
+    Returns:
+        The frames; `Sequence` says what they hold.
+
     Raises:
-        InputError: there is no sequence, frames differ in size, a constant is out of range, or no frame has some buffer.
+        InputError: there is no sequence, frames differ in size, a constant is out of range, or a buffer is in no frame.
     """
     path = path_of("sequence", path)
     camera = None if camera is None else path_of("camera", camera)

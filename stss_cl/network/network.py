@@ -26,11 +26,12 @@ class Network:
         weights: the 92 tensors.
         device: to run on; None = ``stss_cl.device.discovery.open_device()``.
         precision: see ``stss_cl.options.PRECISIONS``.
-        memory_limit: bytes that the buffers may take, as ``stss_cl.network.strips.bytes_for`` counts them; larger frames go in strips,
-            with the same bits. None = half of the device's memory.
+        memory_limit: bytes that the buffers may take, as ``stss_cl.network.strips.bytes_for`` counts them; larger frames are
+            computed in strips, with the same bits. None = half of the device's memory.
 
     Raises:
-        InputError: an argument is of another kind.
+        InputError: an argument is of a wrong type, or a precision is unknown.
+        DeviceError: there is no device, or it cannot be opened.
     """
 
     def __init__(
@@ -50,16 +51,21 @@ class Network:
     def __call__(self, color: Plain, gbuffer: Plain, mask: Plain, history: Plain) -> Any:
         """Compute the image at twice the size.
 
+        Source: spec 7; ``stss_ref.network.network`` gives units and ranges. All four arguments are float32 and C-contiguous: NumPy
+        arrays, or ``pyopencl.array`` of this device's context.
+
         Args:
-            color: (H, W, 6); gbuffer: (H, W, 9); mask: (H, W); history: (3, H, W, 4): float32, C-contiguous, as
-                ``stss_ref.network.network``. NumPy arrays or, all four, ``pyopencl.array`` of this device's context.
+            color: (H, W, 6) the two colours, display-referred, in [0, 1].
+            gbuffer: (H, W, 9) normal 3, depth, roughness, metallic, base colour 3.
+            mask: (H, W) 1 = the warped colour can be trusted, 0 = hole.
+            history: (3, H, W, 4) oldest, middle, newest: colour and mask.
 
         Returns:
             image: (2H, 2W, 3) float32, an array of the kind given; not clipped.
 
         Raises:
-            ArrayError: shapes or dtypes differ, or an input is not finite (a NaN would spread over whole tiles). The history's values
-                are looked at only if the weights read them.
+            ArrayError: shapes or dtypes differ, or an input is not finite (a NaN would spread over whole tiles). The history's values are
+                checked only if the weights read them.
         """
         height, width = check(color, gbuffer, mask, history)
         layers = self.layers(height, width)
@@ -88,7 +94,7 @@ class Network:
         return self._layers
 
     def timings(self) -> dict[str, float]:
-        """Seconds of each stage's launches, of the last size called, one launch at a time."""
+        """Seconds of each stage's launches, run one at a time, for the size of the last call."""
         if self._layers is None:
             return {}
         height, width = self._layers.size
@@ -115,7 +121,7 @@ def check(color: Plain, gbuffer: Plain, mask: Plain, history: Plain) -> tuple[in
 
 
 STAGES = frozenset({"history", "encoder", "erm", "decoder", "network"})
-"""The stages that ``NetworkStages`` knows."""
+"""The stages that ``NetworkStages`` runs."""
 
 
 class NetworkStages:
@@ -135,7 +141,7 @@ class NetworkStages:
         return self._layers_for(stage, inputs).run_stage(stage, inputs)
 
     def layers_of(self, stage: str, inputs: Mapping[str, Array]) -> dict[str, Array]:
-        """The results of a stage's layers, by name; none where the frame goes in strips."""
+        """The results of a stage's layers, by name; none if the frame is computed in strips."""
         return self._layers_for(stage, inputs).layers_of(stage, inputs)
 
     def _layers_for(self, stage: str, inputs: Mapping[str, Array]) -> Layers:

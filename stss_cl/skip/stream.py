@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Compute display frames one after the other, each only where something changed."""
+"""Compute display frames one after the other, each only where it changed."""
 
 from __future__ import annotations
 
@@ -35,19 +35,23 @@ from stss_ref.weights import Weights
 
 
 class Stream:
-    """Stage ``frame`` (spec 11) for display frames as they come; buffers are made once for each size and reused.
+    """Stage ``frame`` (spec 11) for one display frame after the other; buffers are made once for each size and reused.
 
     Args:
         weights: the 92 tensors.
         device: to run on; None = ``stss_cl.device.discovery.open_device()``.
         precision: see ``stss_cl.options.PRECISIONS``.
-        gather: how the motion chain reads between pixels.
+        gather: how the motion chain reads between pixels (spec 2).
         memory_limit: see ``stss_cl.network.network.Network``; if the data kept between frames do not fit, every frame is computed whole.
         skip: one of ``SKIPS``.
 
+    Raises:
+        InputError: as ``Network``, or ``skip`` is unknown.
+        DeviceError: as ``Network``.
+
     Attributes:
         cost: the cost of the last frame.
-        control: decides where to look for changes.
+        control: decides whether to look for changes.
     """
 
     def __init__(
@@ -78,25 +82,25 @@ class Stream:
         """Compute the last frame of ``window``.
 
         Only the time of a call depends on earlier calls. A frame is recognised in the next window if it is
-        the same object. On a CPU the arrays of frames are read in place, and those of a window are compared with the frames that arrive
-        in the next one. So the arrays of a frame must not change from one call to the next if both windows have the frame; for the first
-        call whose window lacks it they may already hold another one. A caller that passes windows of six frames thus needs six sets of
-        arrays, and an object for each frame.
+        the same object. On a CPU the arrays of frames are read in place, and those of a window are compared with the new frames of the
+        next one. So the arrays of a frame must not change between two calls whose windows both have the frame; before the first call
+        whose window lacks it they may be filled again. A caller that passes windows of six frames thus needs six sets of arrays, and an
+        object for each frame.
 
         Args:
-            window: consecutive display frames of one size, oldest first.
-            steps: how many frames back the three colour frames lie, newest first; ``window`` holds them.
-            out: (2H, 2W, 3) float32, C-contiguous: gets a copy of the image; None: the stream returns its own array, on the device if
+            window: consecutive display frames of one size, oldest first; ``DisplayFrame`` gives shapes and units.
+            steps: the distances of the three colour frames, in frames back, newest first; ``window`` holds these frames.
+            out: (2H, 2W, 3) float32, C-contiguous: receives a copy of the image; None: the stream returns its own array, on the device if
                 the last frame's G-buffer is there.
 
         Returns:
-            image: (2H, 2W, 3) float32, not clipped: ``out``, or the stream's array, which is read-only if frames are kept. It never
-                changes as long as the caller holds it or a view of it.
-            valid: (H, W) False in the warping holes of the newest colour frame; likewise. On the device uint8.
+            image: (2H, 2W, 3) float32, not clipped: ``out``, or the stream's array, which is read-only if frames are kept. It does not
+                change while the caller holds it or a view of it.
+            valid: (H, W) False in the warping holes of the newest colour frame; read-only likewise. On the device uint8.
 
         Raises:
-            ArrayError: shapes, dtypes or steps are not a frame's, ``out`` is not an image's, or an array other than motion and position
-                is not finite.
+            ArrayError: shapes, dtypes or steps do not fit, ``out`` has not the image's shape and dtype, or an array other than motion and
+                position is not finite.
         """
         if out is None:
             return self.begin(window, steps).finish()
@@ -114,14 +118,14 @@ class Stream:
         return out, valid
 
     def frames(self, calls: Iterable[Call]) -> Iterator[tuple[Any, Any]]:
-        """Compute many frames: ``(image, valid)`` of each ``(window, steps)`` of ``calls`` in turn, with the bits of a call for each.
+        """Compute many frames: ``(image, valid)`` of each ``(window, steps)`` of ``calls`` in turn, with the bits of single calls.
 
-        On a GPU each frame is begun before the one before it is handed out: while a frame is computed, the planes of the next one
-        arrive, and the image before it leaves. Thus ``calls`` are taken one ahead, and the error of one is raised in its turn,
-        after all frames before it. Neither an error nor closing the iterator early harms the stream. ``cost`` is that of the
-        frame handed out last, ``activity`` that of the frame begun last.
+        On a GPU each frame starts before the previous one is returned: while a frame is computed, the planes of the next one are
+        uploaded, and the previous image is downloaded. So ``calls`` is read one ahead. The error of a call is raised in its turn, after
+        all frames before it. Neither an error nor closing the iterator early harms the stream. ``cost`` is that of the frame returned
+        last, ``activity`` that of the frame started last.
 
-        On a CPU nothing has to arrive or leave: each frame is computed when it is asked for, and its call taken then.
+        On a CPU nothing is uploaded or downloaded: each frame is computed when the caller asks for it, and its call is read then.
         """
         if self.device.is_cpu:
             for window, steps in calls:
@@ -132,7 +136,7 @@ class Stream:
     def begin(
         self, window: Sequence[DisplayFrame], steps: Sequence[int], out: cla.Array | None = None, *, on_host: bool = False
     ) -> FrameInFlight:
-        """Begin a frame, whose image comes to ``out`` if that is given, or lies where the frame's G-buffer does, unless ``on_host``."""
+        """Begin a frame. Its image goes to ``out``; without ``out`` to the device if the frame's G-buffer is there, unless ``on_host``."""
         require_window(window)
         if out is None and not on_host and isinstance(window[-1].gbuffer, cla.Array):
             height, width = window[-1].nov.shape
@@ -171,9 +175,9 @@ class Stream:
         return self._compute(cache, frames, distances, dirty, looking, out)
 
     def expect(self, size: tuple[int, int]) -> None:
-        """Build all that frames of (H, W) need, for example while the first is read: no call builds anything then.
+        """Build all kernels and buffers for frames of (H, W), for example while the first is read, so that no call builds any.
 
-        But for the kernel that widens planes of half, which the first call with one builds.
+        An exception: the first call with a plane of half builds the kernel that widens it.
         """
         self._arriving(size).load()
         if None in [self._keep(size, extrapolates=kind) for kind in (False, True)]:
@@ -201,7 +205,7 @@ class Stream:
         looking: bool,
         out: cla.Array | None,
     ) -> FrameInFlight:
-        """Plan the frame, execute the plan, learn. ``dirty``, ``looking``: see ``FrameCache.prepare_inputs``."""
+        """Plan the frame, execute the plan, learn from its cost. ``dirty``, ``looking``: see ``FrameCache.prepare_inputs``."""
         if cache.last is not None and dirty is not None and not dirty.any():
             self.cost = Cost(0.0, "none")
             return self._hand_out(cache, frames, steps, out, cache.last.valid)
@@ -220,7 +224,7 @@ class Stream:
         out: cla.Array | None,
         valid: Outgoing | None,
     ) -> FrameInFlight:
-        """The image and ``valid``, which is given if it is the last one and on the host; the frame becomes the last of its kind."""
+        """The image and ``valid``, which is given if it is the last one and on the host; the frame becomes the last SF or EF."""
         if out is not None:
             cache.image.copy_to(out)
             cache.last = _last(frames, cache.read(steps), valid)
@@ -236,7 +240,7 @@ class Stream:
         return FrameInFlight(array, mask, (image, valid), self.cost)
 
     def _compute_whole(self, planes: Sources, size: tuple[int, int], out: cla.Array | None) -> FrameInFlight:
-        """Compute a frame of which nothing is kept."""
+        """Compute a frame without keeping anything for the next one."""
         there = out is not None
         image = Outgoing(self.device, (2 * size[0], 2 * size[1], 3), on_device=there)
         valid = mask_of(self.device, self._whole.start(planes, size, image.data), size, on_device=there)
