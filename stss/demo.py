@@ -87,7 +87,7 @@ def demo(
     Raises:
         InputError: ``out`` holds an earlier demo and ``overwrite`` is not set, or cannot be written to.
     """
-    own_weights = None if weights == AUTO else load(weights)  # their errors come before anything is rendered
+    own_weights = None if weights == AUTO else load(weights)  # their errors must come before the rendering
     folders = [folder_of(out / "output"), folder_of(out / "bilinear"), page_folder(out / "page.html")]
     require_places(reads=[Path(weights)], folders=[_folder(out), *folders])
     start, end = Event(), Event()
@@ -130,7 +130,7 @@ def demo(
         return compared
 
     comparisons: dict[str, Comparison] = {}
-    if weights != BILINEAR:  # without a network the reference is fast enough, and nothing is compiled for it
+    if weights != BILINEAR:  # without a network the reference is fast enough, and needs no compilation
         bilinear = load(BILINEAR)
         comparisons["bilinear"] = score("bilinear", bilinear, open_backend("ref", bilinear.weights))
     comparisons["output"] = score("output", loaded, open_backend(backend, loaded.weights, compute, tell=tell))
@@ -149,7 +149,7 @@ def demo(
 
 
 def _test_device(weights: LoadedWeights | None, compute: ComputeOptions, tell: Callable[[str], None]) -> None:
-    """Have the device tested, for weights that are not chosen yet with `ANTIALIASED`, which have the most layers."""
+    """Let another process test the device; weights that are not chosen yet count as `ANTIALIASED`, which have the most layers."""
     from stss.devices.selection import choose  # opens the OpenCL library
     from stss.devices.trial import trial_for
 

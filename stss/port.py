@@ -64,7 +64,7 @@ class OpenCLPort:
         return stages.layers_of(stage, inputs) if hasattr(stages, "layers_of") else {}
 
     def _stages(self, stage: str, weights: Weights | None) -> Any:
-        """The object that runs a stage with weights; the last one of its kind where the weights are those of the case before."""
+        """The object that runs a stage with weights; the previous one if the weights are those of the previous case."""
         for module, kind in self._network:
             if stage in module.STAGES:
                 if kind not in self._ready or self._ready[kind][0] is not weights:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Whether a frame's colour is that of its G-buffer: edges of the one must be edges of the other, and as strong."""
+"""Whether a frame's colour belongs to its G-buffer: both must have the same edges, equally strong."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from stss_ref.arrays import Array, Image, Mask, Plane
 from stss_ref.warp import warp
 
 CLEARLY = 0.05
-"""Another choice is better where its correlation is larger by this. Found: 0.2 and more where the G-buffer is another frame's."""
+"""Another choice is better if its correlation is larger by this. Found: 0.2 and more with the G-buffer of another frame."""
 DARK = 1e-3
 """Light below which edges do not count."""
 SAME = 0.02
@@ -32,7 +32,7 @@ OTHERWISE = (
 
 
 def alignment_lines(frames: Iterable[Buffers], *, linear: bool) -> list[Line]:
-    """Findings about frames that have a colour, one in memory at a time; ``linear``: as the profile has it."""
+    """Findings about frames with a colour, one in memory at a time; ``linear``: the profile's statement about the colours."""
     ratios: list[Array] = []
     steps: list[Array] = []
     bright = False
@@ -69,7 +69,7 @@ def _encoded(steps: Array, *, linear: bool) -> list[Line]:
 
 
 def _steps(frame: Buffers) -> Array:
-    """Of neighbours on a flat surface with a pattern: the step of the colour's logarithm over that of the base colour's."""
+    """For neighbours on a flat surface with a pattern: the step of the colour's logarithm divided by that of the base colour's."""
     assert frame.color is not None
     color, base = (np.log(np.maximum(np.nan_to_num(of).mean(axis=-1), DARK)) for of in (frame.color, frame.base_color))
     hit, normal = np.isfinite(frame.depth) & (frame.normal != 0).any(axis=-1), np.nan_to_num(frame.normal)
@@ -83,7 +83,7 @@ def _steps(frame: Buffers) -> Array:
 
 
 def _correlations(frame: Buffers) -> Array:
-    """As the frame is, and as in `OTHERWISE`."""
+    """The correlations of the frame as it is, and as in `OTHERWISE`."""
     assert frame.color is not None
     seen = np.isfinite(frame.depth) & np.isfinite(frame.motion).all(axis=-1)
     color = _edges(np.log(np.maximum(np.nan_to_num(frame.color), DARK)))

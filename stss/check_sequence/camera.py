@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Whether the camera that was given is the one that positions and depths show."""
+"""Whether the camera of ``--camera`` agrees with positions and depths."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from stss.sequence.reader import Sequence
 from stss.sequence.solve_camera import solve_camera
 
 SURE = 1e-3
-"""Largest residual of a solved camera that says anything of a given one."""
+"""Largest residual of a solved camera that allows a judgement of the given one."""
 APART = 1e-2
 """Distance between the two, as a share of the distance to the surfaces, from which NoV is wrong."""
 
 
 def camera_lines(sequence: Sequence, number: int) -> list[Line]:
-    """Compare the camera of a frame, where it has one, with the one that its positions and depths give."""
+    """Compare the camera of a frame, if it has one, with the camera that its positions and depths give."""
     pose = sequence.frames[number].camera
     if pose is None:
         return [("note", "camera: from position and depth of each frame")] if sequence.solves_camera else []

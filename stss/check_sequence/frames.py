@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Check an engine's frames in memory, as ``stss check`` does files."""
+"""Check an engine's frames in memory, as ``stss check`` checks files."""
 
 from __future__ import annotations
 
@@ -19,17 +19,18 @@ from stss_ground.errors import InputError
 def check_frames(frames: Iterable[Buffers], *, linear: bool = True) -> list[Line]:
     """Whether motion, depth, normals, positions, object numbers and colours of neighbouring frames fit each other.
 
-    The positions of what stands still show the camera, and by it what the other planes should be: signs, units, axes, spaces, jitter.
+    The positions of static geometry give the camera, and the camera gives the right values of the other planes: signs, units, axes,
+    spaces, jitter.
 
     Args:
-        frames: display frames in a row, all in memory; some ten in which the camera moves and turns tell most.
+        frames: display frames in a row, all in memory; about ten in which the camera moves and turns are best.
         linear: whether colours are scene-linear.
 
     Returns:
         ("warning" or "note", one line of text), warnings first. The lines are those of ``stss check``, and may change.
 
     Raises:
-        InputError: a plane is not what `Buffers` says; or no two frames follow each other without a cut, at one size.
+        InputError: a plane does not fit `Buffers`; or no two frames follow each other without a cut, at one size.
     """
     require_kind("frames", frames, Iterable, "frames")
     row = list(frames)

@@ -25,11 +25,11 @@ MAX_JITTER = 1.5
 class Jitter:
     """The shifts found in pairs of neighbouring frames.
 
-    Where only the camera moves, motion must lead to where the frame before shows a pixel's position. If a whole frame is off by the
-    same part of a pixel, motion lacks the shift of the camera.
+    Where only the camera moves, motion must lead to the place at which the previous frame shows a pixel's position. If a whole frame
+    is off by the same part of a pixel, motion lacks the shift of the camera.
 
     Attributes:
-        against_motion: shift (x, y) of each pair that positions show and motion does not have; pixels.
+        against_motion: shift (x, y) of each pair that is in positions and not in motion; pixels.
         in_motion: shift (x, y) of each pair whose pixels all move alike; pixels.
     """
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Whether motion follows the profile's convention: the frame before is warped to now under every choice of signs and order."""
+"""Whether motion follows the profile's convention: the previous frame is warped under every choice of signs and order."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ CHOICES = {
 
 @dataclass(frozen=True)
 class ConventionVerdict:
-    """The errors of base colour and normal of the frame before, warped under each choice: they are free of shading.
+    """The errors of the previous frame's base colour and normal, warped under each choice: these planes are free of shading.
 
     Attributes:
         pixels: how many pixels told the choices apart; 0: too few.

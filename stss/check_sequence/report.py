@@ -97,8 +97,8 @@ def check(
     Args:
         sequence_path: folder or pattern, see `stss.sequence.reader.open_sequence`.
         reading: how to read it; ``non_finite`` "refuse" makes values that are not finite an error, "mask" a warning.
-        frames: first and last display frame to look at; None: all there are.
-        console: where progress is shown; None: nowhere.
+        frames: first and last display frame to check; None: all.
+        console: shows the progress; None: no progress.
 
     Raises:
         InputError: the profile cannot be read, or ``frames`` names none of the sequence. Any other fault is a finding.
@@ -189,7 +189,7 @@ def missing_buffers(sequence: Sequence, numbers: list[int]) -> list[CheckFinding
 
 
 def data_windows(sequence: Sequence, numbers: list[int]) -> list[CheckFinding]:
-    """Frames whose data window is not the display window."""
+    """Frames whose data window differs from the display window."""
     findings: list[CheckFinding] = []
     canvas, display = sequence.canvas, sequence.display
     cropped = [n for n in numbers if any(not window.mask(canvas).all() for window in set(sequence.frames[n].data.values()))]
@@ -206,7 +206,7 @@ def data_windows(sequence: Sequence, numbers: list[int]) -> list[CheckFinding]:
 
 
 def _every_color(sequence: Sequence, numbers: list[int]) -> CheckFinding:
-    """Whether every second frame has a colour of fewer samples: it was rendered for its G-buffer alone, and a run must not show it."""
+    """Whether every second frame has a colour of fewer samples: it was rendered only for its G-buffer, and a run must not show it."""
     own, others = ({_samples(sequence, n) for n in numbers[start::2]} for start in (0, 1))
     if own == others or 0 in own | others or not others:
         return CheckFinding("note", "colour: in every frame; a half-rate run uses every second one")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Whether motion, depth and normals are those of the positions: where static geometry is seen now must be where it was seen before."""
+"""Whether motion, depth and normals agree with the positions: the position of a static point must be the same in both frames."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ from stss_ref.sample import follow, leads_inside
 NEAR = 1e-2
 """Share of the distance to the surfaces, below which the camera is at the origin."""
 OFF = 0.25
-"""Pixels: the largest median error of the background's motion that is not told."""
+"""Pixels: the largest median error of the background's motion without a warning."""
 MIN_PIXELS = 200
-"""Fewest pixels of background that tell anything."""
+"""Fewest pixels of background that allow a judgement."""
 AGREES = 0.1
 """Pixels: the largest median error of motion that agrees with the positions, or three times the positions' own error."""
 BETTER = 0.25
-"""Another meaning of the motion is named where its error is below this share of the motion's own."""
+"""Another meaning of the motion is named if its error is below this share of the stored motion's."""
 MOVES = 0.25
-"""Pixels: less motion tells nothing."""
+"""Pixels: a smaller motion allows no judgement."""
 MANY = 0.2
-"""Share of static surfaces that are holes from which there is a warning, where motion and positions agree."""
+"""Share of holes among static surfaces, from which there is a warning, if motion and positions agree."""
 PROPORTIONAL = 0.05
 """Largest median deviation of depths from the distance along the view, as a share of it."""
 ALONG = 0.9
-"""Least cosine between a normal and the surface that positions make, if it is that surface's."""
+"""Least cosine between a stored normal and the normal of the surface that positions form."""
 AGREE, DISAGREE = 0.9, 0.8
-"""Share of the surfaces with such normals: from the first on they agree, below the second they do not."""
+"""Share of the surfaces with such normals: at least the first value means that they agree, less than the second that they do not."""
 MOVERS = 0.01
 """Share of the surfaces with stencil 0 that move by themselves, from which there is a warning."""
 MOVER = 0.5
@@ -55,13 +55,13 @@ class StaticVerdict:
         pixels: how many were compared.
         residual: median distance of a pixel to where its own position is projected; pixels.
         error: median error of the stored motion; pixels.
-        motion: the likely convention of the stored motion, where that fits clearly better; empty otherwise.
-        relative: positions begin at the camera, in every frame, and motion says that it moves.
+        motion: the likely convention of the stored motion, if it fits clearly better; empty otherwise.
+        relative: positions begin at the camera in every frame, although motion says that the camera moves.
         fit: true motion over stored motion by least squares, ``(scale, offset)`` for x and y.
         depth: median deviation from the distance along the view; -1 where depth falls with distance.
-        normals: share of the surfaces along which normals point, as stored and after the one turn that fits best.
+        normals: share of the surfaces with a right normal, as stored and after the one rotation that fits best.
         holes: share of the static surfaces that are holes, over one frame; motion that leads off the frame does not count.
-        movers: share of the static surfaces whose motion is not that of static geometry, though that of the others is.
+        movers: share of the static surfaces whose motion is not that of static geometry, while the motion of the others is.
     """
 
     pixels: int
@@ -77,7 +77,7 @@ class StaticVerdict:
 
     @property
     def agrees(self) -> bool:
-        """Whether the stored motion is that of the positions."""
+        """Whether the stored motion agrees with the positions."""
         return self.error <= max(AGREES, 3 * self.residual)
 
     def lines(self) -> list[Line]:
@@ -173,7 +173,7 @@ class StaticGeometry:
     Attributes:
         positions: the verdict by positions; None where no pair shows enough static geometry.
         jitter: of the camera.
-        repeated: frames with the positions of the frame before, though something moves.
+        repeated: frames with the positions of the previous frame, though something moves.
         background: the verdict on it; None where there is none, or the scene is flat.
     """
 
@@ -249,7 +249,7 @@ def _at_origin(projection: Projection, frame: Buffers) -> bool:
 
 
 def _background(motion: Image, now: Buffers) -> list[tuple[float, float, float, float]]:
-    """Of a frame: its share, the median motion that it should have, the median error and the largest of the one that it has."""
+    """For a frame's background: its share, the median of its right motion, the median error and the largest of its stored motion."""
     missed = ~np.isfinite(now.depth) & np.isfinite(motion).all(axis=-1)
     if missed.sum() < MIN_PIXELS:
         return []
@@ -275,7 +275,9 @@ def _verdict(
     fit = tuple(_line(true[:, k], motion[:, k]) for k in (0, 1))
     half, tells = _half_a_pixel(fit), errors[best] <= min(BETTER * own, max(AGREES, 3 * residual))
     best, tells = half or best, tells or bool(half)
-    relative = relative and _not_linear(motion, true) > max(AGREES, 3 * residual)  # a turn alone moves all as positions do
+    relative = relative and _not_linear(motion, true) > max(
+        AGREES, 3 * residual
+    )  # a rotation alone moves all pixels as positions do
     moves, claims = (float(np.median(np.linalg.norm(of, axis=-1))) for of in (true, motion))
     if not motion.any() and moves > MOVES:
         best, tells = "0, though the camera moves", True
@@ -285,7 +287,7 @@ def _verdict(
 
 
 def _movers(places: NDArray[np.intp], apart: Array, size: tuple[int, int]) -> float:
-    """The share of places (N, 2) whose motion is apart (N,) from that of the positions, as that of all eight pixels around is.
+    """The share of places (N, 2) whose motion differs (``apart``, (N,)) from that of the positions, with all eight pixels around.
 
     A silhouette, on which renderers average motion, is thinner than that.
     """
@@ -306,7 +308,7 @@ def _is_repeated(before: Buffers, now: Buffers) -> bool:
 
 
 def _guesses(motion: Array, reversed_rows: Array, size: tuple[int, int], *, mirrored: bool | None) -> dict[str, Array]:
-    """Meaning of the stored motion -> the true motion then; "": itself."""
+    """Meaning of the stored motion -> the true motion in that case; "": the stored motion is right."""
     sides = np.array(size[::-1], np.float64)
     scales = {
         "": 1.0,

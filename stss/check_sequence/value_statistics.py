@@ -22,7 +22,7 @@ Level = Literal["error", "warning", "note"]
 Line = tuple[Level, str]
 
 FINE = 1 / 8
-"""Steps of positions that are no longer than this share of a footprint, since the hole test looks for offsets of one and a half."""
+"""Largest steps of positions, as a share of a footprint, since the hole test compares offsets with one and a half."""
 
 
 def motion_lines(verdict: ConventionVerdict, profile: str) -> list[Line]:
@@ -38,11 +38,11 @@ def motion_lines(verdict: ConventionVerdict, profile: str) -> list[Line]:
 
 
 WHOLE_HALF = 1 << 11
-"""Up to here a half has every whole number."""
+"""A half holds every whole number up to this one."""
 
 
 class Values:
-    """Counts and largest values over the frames that were looked at."""
+    """Counts and largest values over the checked frames."""
 
     def __init__(self):
         self._counts: Counter[str] = Counter()
@@ -175,7 +175,7 @@ class Values:
             return []
         kind = read_header(source.path).formats[source.names[0]]
         limit, most = WHOLE_HALF if kind == "half" else WHOLE, self._most.get("stencil", 0)
-        if most < limit or kind == "uint32":  # such a file's numbers are refused where they do not fit
+        if most < limit or kind == "uint32":  # such a file's numbers are refused if they do not fit
             return []
         return [("warning", f"stencil: up to {most:.0f}, stored as {kind}, in which numbers above {limit} run together")]
 

@@ -33,7 +33,7 @@ SECTIONS: Sections = {
         "port": ("stss.cli.port:port", "Answer a folder of cases with a backend of ours."),
     },
 }
-"""Section of ``stss --help`` -> command -> its place, and its purpose."""
+"""Section of ``stss --help`` -> command -> its module and function, and its purpose."""
 ENTRY_POINTS = "stss.commands"
 """Group of entry points by which other packages add commands; each names a table like `SECTIONS`."""
 

@@ -31,7 +31,7 @@ MAX_MIB = 1 << 24
 """Largest ``--memory-limit``, in MiB: 16 TiB."""
 SIDE = click.IntRange(1, MAX_SIDE)
 MAX_COUNT = 10**6
-"""Most frames or repetitions that an option may ask for."""
+"""Largest number of frames or repetitions that an option accepts."""
 
 
 class FrameRange(click.ParamType):  # pyright: ignore[reportMissingTypeArgument]
@@ -66,7 +66,7 @@ class FrameNumbers(click.ParamType):  # pyright: ignore[reportMissingTypeArgumen
 
 
 class TransferName(click.Choice[str]):
-    """A transfer; the default in place of ``hdr``, with a line that says so."""
+    """A transfer; ``hdr`` gives the default, with a warning."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Parse; None: the default."""

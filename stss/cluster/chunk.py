@@ -37,7 +37,7 @@ class Work:
     """A run, or the part of it that a chunk needs.
 
     Attributes:
-        version: of the process that writes; a worker of another one would make other files.
+        version: of the writing process; a worker of another version would make other files.
         sequence: the sequence; the worker reads the same paths.
         rendered: the display frames that count as rendered.
         out: the run's folder, for messages and suffixes; the worker writes nothing.
@@ -53,7 +53,7 @@ class Work:
     engine: Engine
 
     def part(self, numbers: Iterable[int]) -> Work:
-        """The work without the frames that those of ``numbers`` do not depend on."""
+        """The work with only the frames on which those of ``numbers`` depend."""
         ordered = sorted(numbers)
         needs = {self.sequence.numbers[0], *range(ordered[0] - WINDOW + 1, ordered[-1] + 1)}
         return replace(self, sequence=self.sequence.part(needs))
@@ -99,7 +99,7 @@ class _Files:
 
 
 _lock = Lock()
-"""Chunks come one at a time, whatever number of threads the worker has."""
+"""A worker computes one chunk at a time, for any number of its threads."""
 _opened: dict[str, tuple[Backend, str]] = {}
 """The last run's options for its backend -> the backend, and the label of its weights."""
 
@@ -146,5 +146,5 @@ def _open(work: Work) -> tuple[Backend, str]:
 
 
 def _nothing_written(number: int, key: str) -> None:
-    """The process that writes knows what is kept, and asks only for the rest."""
+    """The writing process knows the frames that are kept, and asks only for the rest."""
     del number, key

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A run on many machines: this process alone writes to the folder; workers compute chunks of frames."""
+"""A run on many machines: only this process writes to the folder; workers compute chunks of frames."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from stss_ground.errors import InputError
 from stss_ground.version import VERSION
 
 MAX_CHUNK = 48
-"""Most frames of a chunk, before which five more are read."""
+"""Most frames of a chunk; a worker reads five more before it."""
 CHUNKS_PER_WORKER = 3
 """Chunks for each worker, unless they would have fewer than `MIN_CHUNK` frames or more than `MAX_CHUNK`."""
 MIN_CHUNK = 8
@@ -29,9 +29,9 @@ MAX_CHUNK_BYTES = 1 << 30
 CHUNKS_AHEAD = 2
 """Chunks for each worker that are handed out at a time."""
 FIRST_TIMEOUT = 3600.0
-"""Seconds that the first answer may take: it builds kernels, and nothing is known of the workers' speed."""
+"""Seconds until the first answer: the worker builds kernels, and its speed is unknown."""
 MIN_TIMEOUT, TIMEOUT_FACTOR = 60.0, 10.0
-"""Workers hang if for these seconds, and for this multiple of the slowest chunk's duration, no chunk comes in."""
+"""Workers count as hung if no chunk arrives for these seconds and for this multiple of the slowest chunk's duration."""
 MAX_FAILURES = 3
 """How many times in a row workers may die or hang before a chunk comes in."""
 
@@ -75,12 +75,12 @@ def cut_into_chunks(numbers: Sequence[int], workers: int, size: tuple[int, int])
 
 
 class _Run:
-    """Hands out chunks, writes their frames, and hands a chunk out again where its worker dies or hangs."""
+    """Sends chunks to workers, writes their frames, and sends a chunk again if its worker dies or hangs."""
 
     def __init__(self, workers: Workers, work: Work, planned: RunPlan, on_frame: Callable[[FrameReport], None]):
         self._workers, self._work, self._planned, self._on_frame = workers, work, planned, on_frame
         self._chunks: list[list[int]] | None = None
-        """The chunks that are left; None: no worker has introduced itself."""
+        """The remaining chunks; None: no worker has answered yet."""
         self._reports: dict[int, FrameReport] = {}
         self._errors: dict[int, str] = {}
         """Display frame -> why it ended its chunk."""
@@ -91,7 +91,7 @@ class _Run:
         """Seconds of a chunk."""
 
     def run(self) -> Summary:
-        """All frames; raises the error of the first frame that has one, after all before it are written."""
+        """Yield the report of each frame; raises the first frame's error after all frames before it are written."""
         while self._chunks is None or self._chunks:
             executor, hangs = self._workers.start(), False
             try:
@@ -111,7 +111,7 @@ class _Run:
         return Summary([self._reports[number] for number in sorted(self._reports)])
 
     def _attempt(self, executor: Executor) -> None:
-        """Go on until all is done, or a worker dies or hangs. After that one chunk goes alone, so that it is known which one does it."""
+        """Go on until all is done, or a worker dies or hangs. Then one chunk is sent alone, to find the one that causes it."""
         if self._chunks is None:
             self._begin(executor.submit(introduce, self._work.part(self._planned.numbers[:1])).result(FIRST_TIMEOUT))
         waiting, tasks = list(self._chunks or ()), dict[Future[Chunk], list[int]]()
@@ -143,7 +143,7 @@ class _Run:
         return kind is not None
 
     def _take(self, numbers: list[int], chunk: Chunk) -> None:
-        if self._chunks is None or numbers not in self._chunks:  # it came in beside one before it that has an error
+        if self._chunks is None or numbers not in self._chunks:  # it arrived together with an earlier one that has an error
             return
         if chunk.backend not in ("", self._backend):
             kinds = f"{self._backend}; {chunk.backend}"

@@ -42,7 +42,7 @@ class LocalWorkers:
         return _Uninterrupted(self._count, context, _begin, (self._count,))
 
     def end(self, executor: Executor, *, hangs: bool) -> None:
-        """Drop all that the executor has to do; the processes end with it, and the next executor has others."""
+        """Drop all tasks of the executor; its processes end, and the next executor starts others."""
         del hangs
         for process in multiprocessing.active_children():
             process.kill()
@@ -50,7 +50,7 @@ class LocalWorkers:
 
 
 class _Uninterrupted(ProcessPoolExecutor):
-    """Ctrl-C reaches all processes of a terminal. These are started with the signal blocked: the process that writes ends them."""
+    """Ctrl-C reaches all processes of a terminal. Workers start with the signal blocked: the writing process ends them."""
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         if not hasattr(signal, "pthread_sigmask"):
@@ -131,7 +131,7 @@ def connect(address: str) -> Generator[Workers, None, None]:
     if "://" not in address:
         raise InputError(f"--cluster: expected {LOCAL}N or a scheduler such as tcp://host:8786, got {address}")
     dask = require("distributed", "cluster")
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # a lost worker is one line of ours
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # a lost worker is one line of our own
     try:
         client = dask.Client(address, timeout=TIMEOUT)
     except (OSError, dask.TimeoutError, ValueError) as error:

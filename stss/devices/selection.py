@@ -18,14 +18,14 @@ from stss_cl.device.discovery import Device, DeviceError, Properties, is_gpu, ma
 from stss_ground.machine import cpu_flags
 
 AVX2 = frozenset({"haswell", "broadwell", "skylake", "alderlake", "raptorlake", "znver1", "znver2", "znver3", "x86-64-v3"})
-"""LLVM's names of processors with AVX2 and no AVX-512; for those that it does not know see ``stss_cl.device.pocl_processor``."""
+"""LLVM's names of processors with AVX2 and no AVX-512; for unknown ones see ``stss_cl.device.pocl_processor``."""
 
 
 @dataclass(frozen=True)
 class Row:
     """One device as ``stss devices`` shows it.
 
-    ``memory`` in bytes; ``bfloat16``: AMX, or emulated; ``target``: the processor that kernels are compiled for, empty where untold;
+    ``memory`` in bytes; ``bfloat16``: AMX, or emulated; ``target``: the processor that kernels are compiled for, empty if unknown;
     ``remark``: a line of advice, or empty.
     """
 
@@ -48,7 +48,7 @@ def choose(name: str | None = None, tell: Tell = lambda line: None, *, trial: st
     Args:
         name: part of the device's name; None: ``$STSS_DEVICE``, or any device without it.
         trial: the weights of the self-test, of `stss.devices.trial.TRIALS`.
-        tell: called with a line for every self-test that must be run now, and for every GPU that did not pass.
+        tell: called with a line for every self-test that runs now, and for every GPU that did not pass.
 
     Raises:
         DeviceError: there is no such device, or none that passed; ``STSS_TRUST_DEVICE=1`` skips self-tests.

@@ -37,9 +37,9 @@ COUNT = 1003
 GROUP = 64
 ARRIVING = {"motion": 2, "gbuffer": 9, "nov": 1, "stencil": 1, "position": 3}
 TURNS = 100_000
-"""Of a loop, at least: Mesa's llvmpipe ends a work-item's loops after 65,535, and leaves the rest of its tiles as they were."""
+"""Least turns of the loop: Mesa's llvmpipe ends a work-item's loops after 65,535, and leaves the rest of its tiles unchanged."""
 
-# Largest errors in units in the last place that OpenCL 1.2, section 7.4, allows: not ours to choose.
+# Largest errors in units in the last place that OpenCL 1.2, section 7.4, allows: these are not our choice.
 ULP = {"divide": 2.5, "exp": 3.0, "sqrt": 3.0}
 
 
@@ -146,7 +146,7 @@ def frames(device: Device, generator: np.random.Generator, trial: str = REALTIME
     for number in range(8):
         kind = number % 2
         picture, motion, stencil = color.copy(), np.zeros((*size, 2), np.float32), np.zeros(size, np.float32)
-        if number >= 6:  # a tile of the colour is another; then a surface moves, and leaves holes
+        if number >= 6:  # first a tile of the colour differs; then a surface moves, and leaves holes
             picture[4:8, 8:12] *= 0.5
         if number == 7:
             motion[6:16, 10:30], stencil[8:14, 12:28] = generator.uniform(-9, 9, 2), 1

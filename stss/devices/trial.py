@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The weights with which a self-test computes: the fewest layers that the weights to be used need."""
+"""The weights with which a self-test computes: as few layers as the user's weights allow."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from stss_ref.weights import Weights, random
 EVERY = "every"
 """Random weights, which need all layers."""
 TRIALS = (REALTIME, ANTIALIASED, EVERY)
-"""With the fewest layers first: each has those of the one before it."""
+"""The one with the fewest layers first: each has the layers of the previous one."""
 
 
 def trial_weights(trial: str) -> Weights:

@@ -39,9 +39,9 @@ A core of 2024 takes 20 s, a small board's ten times as long. Processor time, si
 """
 MOST_TIME = 86400.0
 CLOCK = 5
-"""Factor by which it may take longer on the clock: no usable machine is that busy."""
+"""Factor by which the wall-clock time may exceed that: no usable machine is busier."""
 IDLE = 60.0
-"""Seconds on the clock, or fewer if the limit is lower, in which it must use a hundredth of a processor: a hung process uses none."""
+"""Seconds of wall-clock time, or fewer if the limit is lower, in which a test must use a hundredth of a processor: a hung one uses none."""
 POLL = 0.25
 """Seconds between two checks of the child."""
 
@@ -67,7 +67,7 @@ class Verdict:
         why: the reason in a few words; "" if it passed.
         gflops: speed, if it passed; 10**9 float32 operations a second.
         seconds: duration of the self-test.
-        lasting: whether the device is to blame, so that another test would end the same way; only such verdicts are stored.
+        lasting: whether the device is the cause, so that another test would end in the same way; only such verdicts are stored.
     """
 
     outcome: Literal["passed", "failed", "hung", "crashed"]
@@ -116,7 +116,7 @@ def verdict(
         if is_temporary():
             tell("no writable cache folder: kernels are built for this process only; XDG_CACHE_HOME names another folder")
         new = run_selftest(name, command, limit, trial=trial)
-        if again:  # a later trial that failed is run anew when it is asked for
+        if again:  # a failed later trial runs again when it is needed
             for later in TRIALS[TRIALS.index(trial) + 1 :]:
                 if (old := _read_verdict(name, handle, later)) and not old.passed:
                     place_of(name, handle, trial=later).unlink(missing_ok=True)
@@ -156,7 +156,7 @@ def _read_verdict(name: str, handle: cl.Device, trial: str) -> Verdict | None:
 
 
 def _with_checksum(path: Path, text: bytes) -> bytes:
-    """A verdict behind a line with its checksum, which counts for this file's name alone: for this device, driver and version.
+    """A verdict after a line with its checksum, which is valid only for this file's name: for this device, driver and version.
 
     No secret is in it: a program that can write to the folder can run code as its owner anyway, in a cached kernel.
     """
@@ -173,7 +173,7 @@ def run_selftest(name: str, command: Sequence[str] = COMMAND, limit: float | Non
         env={
             **os.environ,
             "XDG_CACHE_HOME": str(home()),
-        },  # its compiled kernels serve this process, also from a temporary folder
+        },  # this process uses its compiled kernels, also from a temporary folder
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -208,7 +208,7 @@ class _Watch:
         self._used = 0.0
 
     def over(self) -> str:
-        """The reason why it must end; "" if it may go on."""
+        """The reason to end it; "" if it may go on."""
         now = time.monotonic()
         if now - self._start > CLOCK * self._limit:
             return f"no answer within {CLOCK * self._limit:g} s"
@@ -315,7 +315,7 @@ def _sources() -> str:
 
 
 def _judged_files() -> list[Path]:
-    """All kernels and host sources, the reference, the bounds, the self-test and the weights that it takes."""
+    """All kernels and host sources, the reference, the bounds, the self-test and its weights."""
     host, reference = Path(stss_cl.__file__).parent, Path(stss_ref.__file__).parent
     files = [*program.KERNELS.rglob("*.cl*"), *host.rglob("*.py"), *host.rglob("*.toml"), *reference.rglob("*.py")]
     return [*sorted(files), Path(tolerance.__file__), *sorted(Path(__file__).parent.glob("*.py")), *SHIPPED.values()]

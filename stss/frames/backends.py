@@ -33,7 +33,7 @@ class Backend(Protocol):
 
     Attributes:
         name: goes into the metadata of every output file, and into the key that ``--resume`` compares.
-        method: likewise: ``network``, or one that it is compared with.
+        method: likewise: ``network``, or another method for comparison.
         accumulates: True: an output depends on all outputs before it, and ``compute`` must be called for each in turn.
     """
 
@@ -47,7 +47,7 @@ class Backend(Protocol):
         ...
 
     def expect(self, size: tuple[int, int]) -> None:
-        """Prepare for frames of (H, W) in advance; else ``compute`` does so at the first of them."""
+        """Prepare for frames of (H, W) in advance; otherwise the first ``compute`` does so."""
         ...
 
     def compute(self, window: Sequence[DisplayFrame], steps: tuple[int, int, int]) -> tuple[Image, Mask]:
@@ -79,7 +79,7 @@ class ReferenceBackend(OnArrays):
 
 
 class OpenCLBackend:
-    """``stss_cl`` on one device; its name has precision, device and driver, since their bits may differ."""
+    """``stss_cl`` on one device; its name holds precision, device and driver, since bits may differ between them."""
 
     method, accumulates = NETWORK, False
 

@@ -20,13 +20,13 @@ class Buffers:
         normal: (H, W, 3) world space; 0 where nothing was hit. Renderers average it over samples: not always unit.
         depth: (H, W) linear view depth, > 0; infinite where nothing was hit. Any unit: it is normalised later.
         position: (H, W, 3) world position in cm, one far place where nothing was hit;
-            NaN marks a pixel whose colour is not to be trusted by later frames.
+            NaN marks a pixel whose colour later frames must not trust.
         stencil: (H, W) object number; 0 = static geometry.
         nov: (H, W) dot of world normal and view vector.
         base_color: (H, W, 3) in [0, 1].
         roughness: (H, W) in [0, 1].
         metallic: (H, W) in [0, 1].
-        cut: the first frame of a shot: nothing of earlier frames is used.
+        cut: True for the first frame of a shot, which uses no earlier frame.
         carried: name -> (H, W, C) further planes of a rendered frame, such as ``alpha``: warped and enlarged as its colour is, without
             the network.
     """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Planes that pass the network by: highlights above 1, alpha, passes. They are warped and enlarged as the frame's own colour is."""
+"""Planes that do not go through the network: highlights above 1, alpha, passes. They are warped and enlarged like the frame's colour."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from stss_ref.warp import warp
 HIGHLIGHTS = "\0highlights"
 """Name of the plane with the part of the colour above 1. No channel has it: names in files end at a NUL."""
 WHITE = (0.85, 0.95)
-"""Display-referred: a pixel below has no highlight, one above the whole of it. Where a bright sky stands behind leaves, the enlarged
-highlight covers them too, and the network's image says which pixels are sky (decision 7)."""
+"""Display-referred: a pixel below the first value has no highlight, one above the second has the whole of it. If a bright sky is behind
+leaves, the enlarged highlight covers them too; the network's image then tells sky from leaves (decision 7)."""
 
 
 def highlights(color: Image) -> Image | None:

@@ -21,8 +21,8 @@ class _Plane(NamedTuple):
     Attributes:
         channels: its last axis; 0: it has two axes.
         least, most: its range; None: any finite number.
-        otherwise: what is allowed beside finite numbers: "", "inf" or "any".
-        hint: advice for where it is wrong.
+        otherwise: values allowed beside finite numbers: "", "inf" or "any".
+        hint: advice for a wrong plane.
     """
 
     channels: int
@@ -52,7 +52,7 @@ _PLANES = {
     "metallic": _Plane(0, 0, 1, hint=_UNIT),
 }
 ROUNDING = 2.0**-8
-"""How far a plane in [0, 1] may lie outside of it: a step of 8 bits, as filters and rounding cause it."""
+"""Largest distance of a plane in [0, 1] from this range: a step of 8 bits, which filters and rounding cause."""
 
 
 def check_buffers(buffers: Buffers) -> None:

@@ -25,8 +25,8 @@ class DisplayFrame:
     """A display frame as stage ``frame`` takes it, made once and used by up to six outputs.
 
     ``color`` (H, W, 3) display-referred or None, ``motion`` (H, W, 2), ``gbuffer`` (H, W, 9), ``nov`` and ``stencil`` (H, W),
-    ``position`` (H, W, 3) in cm; float32, or float16 but for motion and position. ``carried``: planes (H, W, C) of a rendered frame
-    that pass the network by, see `stss.frames.carried_planes`.
+    ``position`` (H, W, 3) in cm; float32, or float16 but for motion and position. ``carried``: planes (H, W, C) of a rendered frame that
+    do not go through the network, see `stss.frames.carried_planes`.
     """
 
     number: int
@@ -113,7 +113,7 @@ def _wide(plane: Array) -> Array:
 
 
 class OnArrays(ABC):
-    """A backend (``stss.frames.backends.Backend``) that computes every frame anew, from stacked arrays."""
+    """A backend (``stss.frames.backends.Backend``) that computes every frame from stacked arrays, without earlier results."""
 
     cost = None
 

@@ -75,7 +75,7 @@ def choose_rendered(
 
     Args:
         numbers: the display frames of a sequence, sorted.
-        has_color: those that have colour.
+        has_color: the frames that have colour.
         choice: ``even``, ``odd`` or ``all`` frame numbers; None = every frame that has colour; where all of them have it, which
             holds the truth of EFs too, the first frame of each shot and every second after it.
         cuts: the first frame of each shot but the first.
@@ -86,7 +86,9 @@ def choose_rendered(
     if not has_color:
         raise InputError("no frame has colour: there is nothing to supersample")
     if choice is None:
-        if len(numbers) < 2 or not has_color.issuperset(numbers):  # pairs at a cut do not make a sequence that holds its truth
+        if len(numbers) < 2 or not has_color.issuperset(
+            numbers
+        ):  # pairs at a cut do not count as a sequence that holds its truth
             return has_color
         return frozenset(n for n in numbers if (n - shot_start(n, numbers[0], cuts)) % 2 == 0)
     chosen_numbers = frozenset(n for n in numbers if choice == "all" or n % 2 == (choice == "odd"))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The share of still pixels that count as holes: a large one says that positions or motion are wrong."""
+"""The share of static pixels that count as holes: a large share means that positions or motion are wrong."""
 
 from __future__ import annotations
 

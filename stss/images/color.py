@@ -31,7 +31,7 @@ HDR_IS_GONE = "hdr is gone: srgb carries highlights past the network, and is nea
 REC709 = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)
 """Chromaticities x, y of red, green, blue and white: of Rec. 709 and sRGB, and of a file that names none."""
 SAME_PRIMARIES = 1e-3
-"""Chromaticities that differ by less are rounded ones."""
+"""Chromaticities that differ by less are equal but for rounding."""
 
 BLOCK = 1 << 15
 """Pixels converted at a time."""
@@ -87,7 +87,7 @@ class Transfer:
             (H, W, 3) float32, in [0, 1].
 
         Raises:
-            ArrayError: ``image`` is not (H, W, 3), or holds NaN or Inf: a fault of the network, not to be painted over.
+            ArrayError: ``image`` is not (H, W, 3), or holds NaN or Inf: a fault of the network that must not be hidden.
         """
         require_finite("image", image)
         return _by_blocks("image", self._decode, image)
@@ -110,13 +110,13 @@ class Transfer:
 
 
 def chromaticities(attributes: Mapping[str, Value]) -> tuple[float, ...]:
-    """Those that a file's metadata say, or `REC709`."""
+    """The chromaticities in a file's metadata, or `REC709`."""
     value = attributes.get("chromaticities")
     return tuple(map(float, value)) if isinstance(value, tuple) and len(value) == len(REC709) else REC709
 
 
 def same_primaries(a: Iterable[float], b: Iterable[float] = REC709) -> bool:
-    """Whether two sets of chromaticities are alike."""
+    """Whether two sets of chromaticities are the same but for rounding."""
     return all(abs(x - y) < SAME_PRIMARIES for x, y in zip(a, b, strict=True))
 
 

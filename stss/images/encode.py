@@ -30,7 +30,7 @@ _TYPES = {
 }
 """Metadata of several numbers -> OpenImageIO's type; the others are floats."""
 _OF_A_SCENE = ("oiio:ColorSpace", "chromaticities", "whiteLuminance")
-"""Metadata of scene-linear colour. In a PNG a viewer would take a linear space to be that of its pixels, and show them washed out."""
+"""Metadata of scene-linear colour. In a PNG, a viewer would take this linear space for that of the pixels, and show them washed out."""
 
 _CHUNK_LINES = 16
 """Lines that EXR's ``zip`` compresses together."""
@@ -72,7 +72,7 @@ def encode_exr(
     if len({*formats}) > 1:  # OpenImageIO ignores formats that are all the same
         spec.channelformats = tuple(oiio.TypeDesc(name) for name in formats)
     spec.attribute("compression", "zip")
-    spec.attribute("DateTime", "")  # else it is the time of writing, and equal pictures would differ in bytes
+    spec.attribute("DateTime", "")  # otherwise it is the time of writing, and equal images would differ in bytes
     data = _encoded(path, ".exr", spec, pixels, metadata)
     if not is_whole_exr(data, pixels.shape[0]):
         raise _cut_short(path)
@@ -80,7 +80,7 @@ def encode_exr(
 
 
 def encode_png(path: Path, pixels: np.ndarray[Any, np.dtype[np.uint8]], metadata: Mapping[str, Value]) -> bytes:
-    """Encode a PNG of 8 bits, tagged as sRGB, which it is.
+    """Encode a PNG of 8 bits, tagged as sRGB.
 
     Args:
         path: where it will lie, for messages.

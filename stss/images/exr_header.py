@@ -13,7 +13,7 @@ _MOST_NAME = 256
 
 
 def header_bytes(file: BinaryIO) -> int:
-    """How many bytes the attributes of an EXR file claim, up to where it is clear that they are more than `MOST_HEADER`.
+    """The number of bytes that the attributes of an EXR file claim; counting stops once they exceed `MOST_HEADER`.
 
     A file that is no EXR, or ends within its header, gives the entries before that: the library reports the fault.
 

@@ -50,7 +50,7 @@ class Header:
     Attributes:
         path: the file.
         display: its display window: the picture.
-        windows: name -> data window of the channel's part: the pixels that are there.
+        windows: name -> data window of the channel's part: the pixels in the file.
         channels: full names. Where parts of a multipart file repeat a name, the later one is ``PART.NAME``.
         formats: name -> "half", "float", "uint32", "uint8", "uint16".
         compression: name -> "zip", "dwaa:45", ... of the channel's part; "" where the format has no choice of it.
@@ -98,7 +98,7 @@ def read_header(path: Path) -> Header:
 
 @contextmanager
 def open_image(path: Path) -> Generator[oiio.ImageInput, None, None]:
-    """Open a file for reading and check its kind; errors that are left pending are fetched, or they would be printed."""
+    """Open a file for reading and check its kind; pending errors are fetched, since OpenImageIO would print them."""
     magic = _MAGIC.get(path.suffix.lower())
     if magic is None:
         raise InputError(f"{path}: expected an .exr or .png file")
@@ -157,7 +157,7 @@ def locate(path: Path, image: oiio.ImageInput) -> tuple[Header, dict[str, tuple[
         spec = image.spec()
         _check(path, spec, display)
         data = _data(spec)
-        # Of both windows: pixels are decoded in the one, and placed in the other.
+        # For both windows: pixels are decoded in the first, and placed in the second.
         size += int(spec.pixel_bytes(True)) * max(data.width * data.height, display.width * display.height)
         for index, name in enumerate(_names(path, spec)):
             full = f"{spec.get_string_attribute('oiio:subimagename')}.{name}" if name in places else name

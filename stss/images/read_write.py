@@ -18,9 +18,9 @@ from stss_ref.arrays import Array, Image, Mask, Plane
 __all__ = ["Header", "read_channels", "read_header", "read_rgb", "write_channels", "write_mask", "write_rgb"]
 
 WHOLE = 1 << 24
-"""Up to here a 32-bit float has every whole number."""
+"""A 32-bit float holds every whole number up to this one."""
 _GAP = 4
-"""Most unwanted channels to read along between wanted ones: a second read would decompress the file once more."""
+"""Most unwanted channels between wanted ones that are read with them: a second read would decompress the file again."""
 
 
 def read_channels(path: Path, names: Sequence[str], window: PixelWindow | None = None) -> dict[str, Plane]:

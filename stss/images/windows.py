@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Data and display windows: which pixels a file holds, and which of them are the picture."""
+"""Data and display windows: the pixels of a file, and those of the image."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class PixelWindow(NamedTuple):
         return PixelWindow(2 * self.x, 2 * self.y, 2 * self.width, 2 * self.height)
 
     def within(self, other: PixelWindow) -> tuple[slice, slice]:
-        """Rows and columns of the part that both share, in an array of ``other``; empty slices where they share nothing."""
+        """Rows and columns of the common part, in an array of ``other``; empty slices if there is none."""
         rows = _shared(self.y, self.height, other.y, other.height)
         return rows, _shared(self.x, self.width, other.x, other.width)
 
@@ -61,7 +61,7 @@ def union(windows: Iterable[PixelWindow]) -> PixelWindow:
 
 
 def moved(plane: NDArray[Scalar], window: PixelWindow, to: PixelWindow) -> NDArray[Scalar]:
-    """An array (H, W, ...) of ``window`` as one of ``to``, 0 where ``window`` has nothing; the same array where the two are one."""
+    """An array (H, W, ...) of ``window`` as an array of ``to``, 0 outside ``window``; the same array if the windows are equal."""
     if window == to:
         return plane
     result = np.zeros((*to.size, *plane.shape[2:]), plane.dtype)

@@ -34,9 +34,9 @@ METRICS = {
     "tpsnr": ("tPSNR\nRGB", 2, REGIONS[:1]),
     "flicker": ("flicker\nerror", 2, REGIONS[:1]),
 }
-"""Field of ``Scores`` -> heading, digits printed, and the regions it is taken over."""
+"""Field of ``Scores`` -> heading, digits printed, and the regions over which it is taken."""
 BELOW = ("tpsnr", "flicker")
-"""Metrics without a column: their means stand below the table."""
+"""Metrics without a column: their means are printed below the table."""
 
 
 @dataclass(frozen=True)
@@ -151,11 +151,11 @@ def compare(
         out: written by `stss run`, or by anything that numbers its files.
         truth: images of the same size.
         frames: first and last to compare, both included; None: all.
-        sequence: the input of the output, by whose motion flicker is measured; None: it is not.
+        sequence: the input of the output; its motion gives the flicker; None: no flicker.
         perceptual: metrics to take too.
         non_finite: values that are not finite: "refuse" them, or "mask": 0.
-        holes: a run's folder, over whose warping holes outputs are scored; None: over their own.
-        track: yields the numbers that it is given, and may show how far the comparison is.
+        holes: the folder of a run, over whose warping holes outputs are scored; None: over their own.
+        track: yields its numbers unchanged, and may show the progress.
 
     Raises:
         InputError: a folder is not there, the two have no frame in common, a file cannot be read or has a value that is not finite,

@@ -27,13 +27,13 @@ Bytes = NDArray[np.uint8]
 
 @dataclass(frozen=True)
 class Perceptual:
-    """The metrics of other packages that are taken, too."""
+    """The metrics of other packages to take."""
 
     flip: bool = False
     vmaf: bool = False
 
     def require_packages(self) -> None:
-        """Raise InputError unless their packages are installed: before the work, not after it."""
+        """Raise InputError unless their packages are installed; called before the work."""
         for name, is_asked in (("flip_evaluator", self.flip), ("imageio_ffmpeg", self.vmaf)):
             if is_asked:
                 require(name, EXTRA)
@@ -43,7 +43,7 @@ NEITHER = Perceptual()
 
 
 def flip_map(image: Image, truth: Image) -> Plane:
-    """Map how different two images look when a screen shows them in turn, at 67 pixels a degree.
+    """Map the visible difference of two images that a screen shows in turn, at 67 pixels a degree.
 
     Source: Andersson et al., FLIP: A Difference Evaluator for Alternating Images, 2020; their package ``flip-evaluator``.
 

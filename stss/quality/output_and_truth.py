@@ -89,8 +89,8 @@ def find_pairs(
         truth: likewise.
         frames: first and last to include; None: all.
         non_finite: see `Pair`.
-        holes: a run's folder, whose masks of warping holes stand for those of ``out``, and whose kinds and transfer for those that the
-            files of ``out`` do not say; None: its own.
+        holes: the folder of a run. Its masks of warping holes replace those of ``out``, and its kinds and transfer those that the files of
+            ``out`` do not name. None: those of ``out``.
 
     Raises:
         InputError: a folder is not there, the two have no frame in common, or a file cannot be read.
@@ -155,7 +155,7 @@ def _pair(output: Path, truth: Path, non_finite: NonFinite) -> Pair:
 
 
 def _as_in_run(pair: Pair, kind: str | None, domain: str | None, holes: Path | None) -> Pair:
-    """With a run's holes, and its kind and transfer where the output's own file names none."""
+    """The pair with a run's holes, and with its kind and transfer if the output's own file names none."""
     return replace(pair, kind=pair.kind or kind, transfer=pair.transfer or domain, holes=holes)
 
 
@@ -178,7 +178,7 @@ def _differ(output: Mapping[str, Value], truth: Mapping[str, Value]) -> tuple[st
 
 
 def _share(path: Path, text: Value | None) -> float | None:
-    """A share that a file's metadata may say."""
+    """A share in a file's metadata, if it is there."""
     try:
         share = None if text is None else float(str(text))
     except ValueError:

@@ -40,10 +40,10 @@ class FrameReport:
 
     Attributes:
         number: the frame.
-        kind: SF, EF; None where it was not found out.
+        kind: SF, EF; None if unknown.
         outcome: see ``Outcome``.
         reason: why it was left out.
-        fault: it was left out because something is wrong.
+        fault: it was left out because of a fault.
         cost: of its computation.
         peak: the largest value of its image.
         static_holes: the share of its static surfaces that are holes; None for an SF, or where nothing static is seen.
@@ -60,7 +60,7 @@ class FrameReport:
 
 
 class Sink(Protocol):
-    """Where files go, such as ``stss_ground.output.folder.OutputFolder``."""
+    """A receiver of files, such as ``stss_ground.output.folder.OutputFolder``."""
 
     @property
     def path(self) -> Path:
@@ -96,7 +96,7 @@ class _Computed:
 class FrameJob:
     """The steps of one frame, in three threads, and the constants of one run.
 
-    Where a frame is already kept or left out, the later steps pass its report on.
+    If a frame is already kept or left out, the later steps only pass on its report.
     """
 
     window: Window
@@ -149,7 +149,7 @@ class FrameJob:
         """
 
         def meanwhile() -> None:
-            if not self.options.resume:  # then perhaps nothing is left to compute
+            if not self.options.resume:  # with it, perhaps no frame is left to compute
                 self.backend.expect(size)
 
         return overlap(numbers, self.read, self.compute, self.write, meanwhile)
@@ -168,7 +168,7 @@ class FrameJob:
             return FrameReport(number, None, "left out", str(error), fault=True)
 
     def compute(self, job: _Read | FrameReport) -> _Computed | FrameReport:
-        """Compute it, or report why not; only this step uses ``backend``."""
+        """Compute it, or report the reason why not; only this step uses ``backend``."""
         if isinstance(job, FrameReport):
             return job
         output = compute(job.window, self.backend)
@@ -235,7 +235,7 @@ def keys_of(sequence: Sequence, rendered: frozenset[int], options: RunOptions, m
 def already_written(folder: OutputFolder, options: RunOptions, number: int, key: str) -> FrameKind | None:
     """The kind of a frame whose files an earlier run wrote, byte for byte as this run would write them.
 
-    None where that is not so, or where this run does not resume.
+    None if there are no such files, or if this run does not resume.
     """
     name = frame_name(number, options.format)
     if not options.resume or not folder.holds(name):

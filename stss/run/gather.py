@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Put the parts of a run, each written by another process into a folder of its own, into one folder."""
+"""Put the parts of a run, which separate processes wrote into separate folders, into one folder."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from stss_ground.progress import Track
 from stss_ground.regular_file import read_regular
 
 MARK = "stss-gathered.sha256"
-"""Name of a list beside the parts, there while they are removed: the files that all parts held, which the folder has by then."""
+"""Name of a list beside the parts, which exists while they are removed: the files of all parts, which the folder has by then."""
 _LINE = re.compile(r"([0-9a-f]{64})  ([^/]+)/(.+)")
 _FRAME = re.compile(r"frame\.(-?\d+)\.\w+")
 
@@ -35,9 +35,9 @@ class Gathered(NamedTuple):
     """The content of a folder after its parts were gathered.
 
     Attributes:
-        parts: how many there were.
-        frames: how many frames the folder has.
-        missing: how many it should have and has not.
+        parts: their number.
+        frames: the number of frames in the folder.
+        missing: the number of frames that it lacks.
         first_missing: the first `LISTED` of these.
     """
 
@@ -65,7 +65,7 @@ def gather(
         parts: holds a folder for each part. A part is a folder with a list, and no link; other files stay.
         out: the folder to write to; the rules for a run's folder hold.
         sequence: the folder or pattern of the frames that the parts were made from: nothing is written to it.
-        frames: first and last frame that the folder should have then; None: the first and the last that it has.
+        frames: first and last frame that the folder should have afterwards; None: the first and the last that it has.
         overwrite: replace the files of an earlier run.
         track: may show how many parts are looked at, and then moved.
 
@@ -122,7 +122,7 @@ def _parts_in(parts: Path) -> list[Path]:
     folders: list[Path] = []
     for path in sorted(parts.iterdir()) if parts.is_dir() else ():
         part = folder_of(path)
-        if path.is_dir() and part.present():  # frames without a list too: that is told, and not left out in silence
+        if path.is_dir() and part.present():  # frames without a list too: they are reported, and not left out in silence
             for place in part.folders():
                 if place.is_symlink():
                     raise InputError(f"{place}: expected the folder of a part, found a link")

@@ -36,7 +36,7 @@ class Summary:
     frames: list[FrameReport]
 
     def count(self, outcome: Outcome, kind: FrameKind | None = None) -> int:
-        """How many frames had this outcome; of one kind if given."""
+        """The number of frames with this outcome; of one kind if given."""
         return sum(f.outcome == outcome and kind in (None, f.kind) for f in self.frames)
 
 
@@ -118,7 +118,7 @@ def plan(sequence: Sequence, out: Path, options: RunOptions, *, accumulates: boo
     rendered = choose_rendered(sequence.numbers, sequence.rendered, options.rendered, options.cuts)
     numbers = _numbers(sequence, options.frames)
     require_near(sequence, sequence.numbers[0] if accumulates else numbers[0], numbers[-1])
-    if not options.keep_going:  # now, not after the hours that the frames before it take
+    if not options.keep_going:  # now, not after hours of other frames
         sequence.require(numbers)
     return RunPlan(rendered, numbers, folder_of(out))
 

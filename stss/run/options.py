@@ -17,12 +17,12 @@ class RunOptions:
     Attributes:
         transfer: ``none``, ``srgb``.
         depth: ``clip``, ``scale``.
-        rendered: ``even``, ``odd``, ``all``; None = see ``supersample.choose_rendered``.
+        rendered: ``even``, ``odd``, ``all``; None = see ``stss.frames.output.choose_rendered``.
         frames: first and last display frame to write, both included; None = all. Frames before the first still serve as history.
-        cuts: the first display frame of each shot but the first: nothing of earlier frames is used there.
+        cuts: the first display frame of each shot except the first; it uses no earlier frame.
         also: names of further layers or channels of the files that are warped and enlarged like the colour.
         format: ``exr``, ``png``.
-        keep_going: leave out a frame that cannot be read, rather than stop.
+        keep_going: leave out a frame that cannot be read, and go on.
         resume: keep the files of an earlier run that equal those of this run.
         overwrite: replace the files of an earlier run one by one; remove the rest of them once all are written.
     """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Three steps in a row on one item after the other, the steps of neighbouring items at the same time."""
+"""Take items through three steps, one item after the other; the steps of neighbouring items run at the same time."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from typing import TypeVar
 
 FRAMES_AHEAD = 2
-"""Most items that are read ahead of the one being computed, and most of those before it that may still wait to be written."""
+"""Most items that are read ahead of the one being computed, and most earlier items that may still wait to be written."""
 
 Item = TypeVar("Item")
 Read = TypeVar("Read")
@@ -26,7 +26,7 @@ def overlap(
 ) -> Generator[Written, None, None]:
     """Do ``write(compute(read(item)))`` for every item; later items are read and earlier ones written meanwhile.
 
-    The first item has the processor to itself until it is computed: the user waits to see it.
+    Until the first item is computed no other runs: the user waits to see it.
 
     Each step takes the items in order. An error is raised when its item's turn comes, after the items before it are done, just as
     if items were worked on one at a time; after an item that cannot be written no other is. No thread is left when this ends, raises

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The share that a run skipped: beside the bar, and a line about the whole run."""
+"""The skipped share of a run: beside the progress bar, and in a line about the whole run."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Tally:
         self._computed = 0.0
 
     def add(self, cost: Cost | None) -> str:
-        """Count a frame; returns the share of all frames that had not changed, as text; "" if none was looked at."""
+        """Count a frame; returns the share that had not changed over all frames, as text; "" if none was checked."""
         if cost is not None:
             self._seen += 1
             self._computed += 0.0 if cost.network == "none" else cost.changed

@@ -45,7 +45,7 @@ class Window:
         return window
 
     def attributes(self, number: int) -> Mapping[str, Value]:
-        """The metadata of a frame's files that its output carries too."""
+        """The metadata of a frame's files that are copied to its output."""
         return self._sequence.frames[number].attributes
 
     def _load(self, number: int) -> DisplayFrame | InputError:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Whether a sequence's frames are aliased or antialiased, judged by their pixels: the default weights are chosen by it."""
+"""Whether a sequence's frames are aliased or antialiased, judged by their pixels; this chooses the default weights."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ DWA_LEVEL, DWA_NOT_UNIT, DWA_MIXED = 200.0, 0.05, 0.01
 """The same two where DWA changed the normals, up to this level (45 is usual). Found: up to 0.0023 in aliased frames, 0.030 and more in
 antialiased ones."""
 NOTHING = math.inf, math.inf
-"""The same two for normals that say nothing."""
+"""The same two for normals that allow no judgement."""
 MIXED_COLORS = 0.47
 """Share of edges with a colour in between from which frames count as antialiased. Found: up to 0.34 in aliased frames, by their
 textures; 0.59 and more in antialiased ones."""
@@ -54,12 +54,12 @@ class Sampling:
 
 
 def judge_sampling(sequence: Sequence) -> Sampling:
-    """Look at a few rendered frames. A frame that cannot be read does not count here: the step that needs it reports it.
+    """Look at a few rendered frames. A frame that cannot be read does not count here; the step that needs it reports it.
 
     An antialiased G-buffer has normals that are not of unit length along every silhouette. If the G-buffer is aliased, the colour
     decides: where the surface's normal jumps from one pixel to the next, an aliased colour jumps as well, and an antialiased one
-    has a pixel in between. Where neither tells, frames count as aliased, since engines give such frames. Normals that B44 or a strong
-    DWA changed tell nothing; PXR24 changes no length that counts here.
+    has a pixel in between. If neither decides, frames count as aliased, since engines give such frames. Normals that B44 or a strong DWA
+    changed do not count; PXR24 changes no length noticeably.
     """
     rendered = sorted(sequence.rendered)
     numbers = sorted({rendered[i * (len(rendered) - 1) // (LOOKED_AT - 1)] for i in range(LOOKED_AT)}) if rendered else []
@@ -91,7 +91,7 @@ def judge_sampling(sequence: Sequence) -> Sampling:
 
 
 def _limits(header: Header, name: str) -> tuple[float, float]:
-    """From which difference of its length a normal is a mixture, and which share of mixtures says that frames are antialiased."""
+    """The difference in length from which a normal is a mixture, and the share of mixtures from which frames are antialiased."""
     kind, _, level = header.compression[name].partition(":")
     if not header.lossy(name) or kind == "pxr24":
         return NOT_UNIT, MIXED_NORMALS

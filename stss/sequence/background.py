@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The motion of the background: where a direction of view, infinitely far away, was seen in the frame before."""
+"""The motion of the background: the place in the previous frame of each direction of view, infinitely far away."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from stss_ref.arrays import Image, Mask
 
 Background = Literal["files", "camera"]
 BACKGROUNDS: tuple[Background, ...] = get_args(Background)
-"""Where the motion of the background is from."""
+"""The sources of the background's motion."""
 LOOSE = 0.25
-"""Pixels: positions that no projection fits better say nothing of the camera."""
+"""Pixels: if no projection fits positions better than this, they do not give the camera."""
 
 
 def static_surfaces(frame: Buffers) -> Mask:
-    """(H, W) True where something is seen that does not move by itself, and its position is known."""
+    """(H, W) True where static geometry with a known position is seen."""
     return (
         (frame.stencil == 0)
         & np.isfinite(frame.depth)
@@ -35,7 +35,7 @@ def projection_of(frame: Buffers) -> Projection | None:
 
 
 def background_motion(before: Projection, now: Projection, size: tuple[int, int]) -> Image:
-    """Motion of points at infinity, from the turn of the camera; its path does not matter.
+    """Motion of points at infinity, from the camera's rotation; its path does not matter.
 
     A point far along ``d`` is seen at ``P d``, with the projection's matrix without its last column. So the frame before shows at
     ``P_before P_now^-1 (x, y, 1)`` what now is at ``(x, y)``.

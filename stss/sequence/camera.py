@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The camera's places: from a table, or from the metadata of a renderer's files."""
+"""The camera's positions: from a table, or from the metadata of a renderer's files."""
 
 from __future__ import annotations
 

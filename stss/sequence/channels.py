@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Which channel of which file holds each buffer."""
+"""The file and channels of each buffer."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ LAYERS = ("ViewLayer", "View Layer", "RenderLayer")
 
 @dataclass(frozen=True)
 class Source:
-    """Where a buffer is: a file, and the full names of the buffer's channels in it."""
+    """The place of a buffer: a file, and the full names of the buffer's channels in it."""
 
     path: Path
     names: Channels
@@ -52,7 +52,7 @@ def find_buffers(header: Header, profile: Profile, buffers: Collection[str]) -> 
 
 
 def layers_of(header: Header, profile: Profile, color: Source) -> list[str]:
-    """The layers of a file that have all channels of a colour, the one first that ``color`` is of; "" where it is of none."""
+    """The layers of a file that have all channels of a colour, the layer of ``color`` first; "" for a colour without a layer."""
     names = _names(header, profile.view)
     layers = sorted({name.rsplit(".", 2)[0] for name in names if name.count(".") >= 2})
     by_layer = {layer: _in_layer(header.path, names, profile, ["color"], layer).get("color") for layer in layers}
@@ -60,7 +60,7 @@ def layers_of(header: Header, profile: Profile, color: Source) -> list[str]:
 
 
 def view_of(name: str, views: Collection[str]) -> str | None:
-    """The view that a channel's full name has among its parts, such as left in ``layer.pass.left.R``; None: it has none."""
+    """The view among the parts of a channel's full name, such as left in ``layer.pass.left.R``; None: no view."""
     return next((part for part in name.split(".")[:-1] if part in views), None)
 
 
@@ -98,7 +98,7 @@ def _in_layer(
 
 
 def missing_buffers(profile: Profile, buffers: Collection[str], where: object, there: Collection[str]) -> InputError:
-    """The error for buffers that no file has: of each the names expected and what to do; the channels found (``there``)."""
+    """The error for buffers that no file has: for each the expected names and advice; then the channels found (``there``)."""
     parts: list[str] = []
     for buffer in buffers:
         names_wanted = " or ".join(", ".join(names) for names in profile.channels[buffer]) or "a constant"

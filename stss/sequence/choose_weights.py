@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Choose which of the weights that come with the program suit a sequence, once for all of its frames."""
+"""Choose the set of weights that suits a sequence, once for all of its frames."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from stss.sequence.reader import Sequence
 from stss.weights.file import ANTIALIASED, BILINEAR, REALTIME, LoadedWeights, load
 
 AUTO = "auto"
-"""Given in place of a name of weights: choose those that suit the frames."""
+"""In place of a name of weights: choose the set that suits the frames."""
 
 
 def suited(sampling: Sampling) -> str:
@@ -25,7 +25,7 @@ def choose_weights(source: str, sequence: Sequence, tell: Callable[[str], None],
         source: `AUTO`, or see `stss.weights.file.load`.
         sequence: a few of its frames are looked at, see `stss.sequence.antialiasing.judge_sampling`.
         tell: called with the choice and its reason.
-        needed: whether a network runs at all; if not, `AUTO` neither looks at frames nor calls ``tell``.
+        needed: whether a network runs at all; if not, `AUTO` neither reads frames nor calls ``tell``.
 
     Raises:
         InputError: the file can't be read or is of another format.

@@ -17,7 +17,7 @@ from stss_ground.errors import InputError
 from stss_ref.arrays import Array, Image, Mask, Plane
 
 BACKGROUND_POSITION = 1e7
-"""Each coordinate of the position where nothing was hit; cm. One place, so that sky matches sky; far away, so that no surface does."""
+"""Each coordinate of the position where nothing was hit; cm. One place, so that sky matches sky; far away, so that no surface matches."""
 
 
 def convert(
@@ -32,8 +32,9 @@ def convert(
 
     Args:
         number: the display frame.
-        planes: the fields of `Buffers` in the profile's conventions. ``color`` may be missing or None: the frame was not rendered; ``nov``
-            where there is a camera; ``stencil``, ``roughness`` and ``metallic`` may be one number. Other names are carried along.
+        planes: the fields of `Buffers` in the profile's conventions. ``color`` may be missing or None: the frame was not rendered;
+            ``nov`` may be missing if there is a camera; ``stencil``, ``roughness`` and ``metallic`` may be one number. Planes of other
+            names go to ``carried``.
         profile: a built-in profile's name, a TOML file, or one from `load_profile`.
         camera: (3,) its position or (4, 4) world to camera, for column vectors; in scene units.
         cut: whether the frame is the first of a shot.
@@ -89,7 +90,7 @@ def convert(
 
 
 def _size(number: int, planes: Mapping[str, Array]) -> tuple[int, int]:
-    """(H, W) of most of the planes, so that one of another size is the one that is named; depth's where two sizes are as frequent."""
+    """(H, W) of most planes, so that an error names the plane of another size; depth's if two sizes are equally frequent."""
     sizes = [planes["depth"].shape[:2]]
     sizes += [plane.shape[:2] for name, plane in planes.items() if plane.ndim >= 2 and (*plane.shape, 1)[2] == BUFFERS[name]]
     height, width = max(sizes, key=sizes.count) if planes["depth"].ndim >= 2 else (0, 0)
@@ -99,7 +100,7 @@ def _size(number: int, planes: Mapping[str, Array]) -> tuple[int, int]:
 
 
 def require_depth_buffer(where: str, values: Array, rule: DepthRule) -> None:
-    """Raise InputError where the profile says that depth is a depth buffer's, and finite values (H, W, 1) are not: 0 to 1."""
+    """Raise InputError if the profile says that depth is a depth buffer's, and a finite value of (H, W, 1) is not in 0 to 1."""
     if rule.kind != "device":
         return
     with np.errstate(invalid="ignore"):
@@ -161,7 +162,7 @@ def to_specification(
 
 
 def motion_in_pixels(motion: Image, rule: MotionRule, display: tuple[int, int] | None = None) -> Image:
-    """Stored motion as (H, W, 2) float32; pixels, current -> previous, x right, y down. Non-finite values stay so."""
+    """Stored motion as (H, W, 2) float32; pixels, current -> previous, x right, y down. Non-finite values stay non-finite."""
     height, width = display or motion.shape[:2]
     unit = {"pixels": (1.0, 1.0), "uv": (width, height), "ndc": (width / 2, height / 2)}[rule.unit]
     sign = 1.0 if rule.direction == "to_previous" else -1.0

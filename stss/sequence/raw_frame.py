@@ -36,7 +36,8 @@ CARRIED = (
     "worldToCamera",
     "worldToNDC",
 )
-"""Metadata that outputs have from the frame's files, by OpenImageIO's names. OpenEXR's rate has a small f; some writers' a capital."""
+"""Metadata that outputs copy from the frame's files, by OpenImageIO's names. OpenEXR's rate has a small f, that of some writers a
+capital."""
 
 NOTHING: Mapping[str, Source] = {}
 
@@ -47,7 +48,7 @@ class RawFrame:
 
     Attributes:
         files: all files that belong to it.
-        sources: buffer -> where it is; buffers that are not there are left out.
+        sources: buffer -> its place; without buffers that the files lack.
         camera: None where it is not known.
         attributes: metadata that compositors need, `CARRIED`.
         data: buffer -> data window of its part.
@@ -107,7 +108,7 @@ def settle_non_finite(buffers: dict[str, Array], sources: Mapping[str, Source], 
 def settle_all_finite(
     planes: Mapping[str, Array], sources: Mapping[str, Source], policy: NonFinite, *, into: dict[str, Array]
 ) -> None:
-    """The same for planes that must be finite everywhere; the ones changed are put ``into`` a dictionary."""
+    """The same for planes that must be finite everywhere; changed planes are put ``into`` a dictionary."""
     for name, plane in planes.items():
         bad = ~np.isfinite(plane)
         if not bad.any():

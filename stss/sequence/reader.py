@@ -34,11 +34,11 @@ from stss_ref.arrays import Array, Mask
 SURFACE = ("depth", "normal", "position")
 """Buffers without which a pixel shows no surface."""
 LISTED = 24
-"""Most channels that a message lists where they fit no profile."""
+"""Most channels that a message lists if they fit no profile."""
 LEAST = 3
-"""Fewest buffers by which a profile is found: colour alone has the same names everywhere."""
+"""Fewest buffers that find a profile: colour alone has the same names everywhere."""
 MAX_RESIDUAL = 1e-2
-"""Largest residual of a camera that is found from position and depth: NoV then is wrong by no more."""
+"""Largest residual of a camera that is found from position and depth: the error of NoV is no larger."""
 
 
 @dataclass(eq=False)
@@ -51,7 +51,7 @@ class Sequence:
         canvas: the pixels of every frame: the display window and the parts of data windows beyond it.
         display: the display window of every frame.
         frames: display frame -> its files, buffers and camera.
-        constants: buffer -> number that stands in where there is no channel.
+        constants: buffer -> number to use without a channel.
         non_finite, background: the policy for values that are not finite, and the source of the background's motion: see
             `open_sequence`.
         settings: everything besides the files on which `load` depends: text and numbers.
@@ -85,7 +85,7 @@ class Sequence:
 
     @property
     def numbers(self) -> tuple[int, ...]:
-        """The display frames there are, sorted."""
+        """The numbers of the display frames, sorted."""
         return tuple(sorted(self.frames))
 
     @property
@@ -125,7 +125,7 @@ class Sequence:
         Args:
             number: the display frame.
             color: False: leave the colour out, as if the frame had not been rendered.
-            also: names of layers or channels that are carried along with the colour, as its alpha is.
+            also: names of layers or channels that are warped and enlarged with the colour, like its alpha.
 
         Returns:
             The frame in the conventions of spec section 0.
@@ -140,7 +140,7 @@ class Sequence:
         return buffers
 
     def _with_background(self, buffers: Buffers) -> Buffers:
-        """The frame with the background's motion by the camera; one whose predecessor cannot be read is as it was: nothing is older."""
+        """The frame with the background's motion by the camera; unchanged if its predecessor, which no output then uses, cannot be read."""
         try:
             before = self._projection(buffers.number - 1)
         except InputError:
@@ -157,7 +157,7 @@ class Sequence:
         return replace(buffers, motion=motion)
 
     def _projection(self, number: int, buffers: Buffers | None = None) -> Projection | None:
-        """A frame's, of which the last few are kept."""
+        """A frame's projection; the last few are kept."""
         if number not in self._projections:
             self._projections = {n: projection for n, projection in self._projections.items() if abs(n - number) <= WINDOW}
             self._projections[number] = projection_of(buffers or self._load(number, color=False))
@@ -197,12 +197,12 @@ class Sequence:
         )
 
     def carries(self, also: Collection[str] = ()) -> tuple[str, ...]:
-        """Names of the planes that come along with the colour of the first rendered frame, see `load`."""
+        """Names of the planes that are carried with the colour of the first rendered frame, see `load`."""
         return tuple(self._carried(min(self.rendered), also)) if self.rendered else ()
 
     @property
     def alone(self) -> tuple[str, ...]:
-        """Notes where the files have several views or layers with a colour, of which nobody chose one."""
+        """Notes about files with several views or layers with a colour, if the user chose none."""
         return tuple(note for note in (self._one_view(), self._one_layer()) if note)
 
     def _one_layer(self) -> str:
@@ -228,12 +228,12 @@ class Sequence:
 
     @property
     def solves_camera(self) -> bool:
-        """Whether the camera is found from position and depth: no file has it, nor NoV."""
+        """Whether the camera is found from position and depth: the files have neither a camera nor NoV."""
         frame = self.frames[self.numbers[0]]
         return frame.camera is None and "nov" not in frame.sources
 
     def _outside(self, frame: RawFrame) -> Mask | None:
-        """(H, W) True where depth, normal or position has no pixels; None: they are everywhere."""
+        """(H, W) True where depth, normal or position has no pixels; None: all have pixels everywhere."""
         windows = {frame.data[buffer] for buffer in SURFACE if buffer in frame.data}
         if windows <= {self.canvas}:
             return None
@@ -251,7 +251,7 @@ class Sequence:
         return solved.pose
 
     def _carried(self, number: int, also: Collection[str]) -> dict[str, Source]:
-        """Where the planes are that pass the network by: alpha beside the colour, and the layers and channels in ``also``."""
+        """The places of the planes that do not go through the network: alpha beside the colour, and the layers and channels in ``also``."""
         frame = self.frames[number]
         color = frame.sources["color"]
         there = {path: read_header(path).channels for path in frame.files}
@@ -280,7 +280,7 @@ class Sequence:
         return planes
 
     def require(self, numbers: Iterable[int]) -> None:
-        """Raise InputError where one of these display frames has no file."""
+        """Raise InputError if one of these display frames has no file."""
         missing = [n for n in numbers if n not in self.frames]
         if missing:
             others = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
@@ -399,7 +399,7 @@ class SequenceOptions:
 
 
 def settle_profile(path: Path, profile: str | Path | Profile | None) -> Profile:
-    """The profile that was asked for; None: the one that `find_profile` finds."""
+    """The profile that the user named; None: the one that `find_profile` finds."""
     if profile is None:
         return find_profile(path)
     return profile if isinstance(profile, Profile) else load_profile(profile)
@@ -409,7 +409,8 @@ def find_profile(path: Path) -> Profile:
     """The built-in profile whose channels the first frame has most of.
 
     Raises:
-        InputError: there is no sequence, no profile has three buffers or more, two have as many, or several layers fit the only one.
+        InputError: there is no sequence, no profile fits three buffers, two profiles fit equally many, or several layers fit
+            the best one.
     """
     scores: dict[str, int] = {}
     refusals: list[InputError] = []

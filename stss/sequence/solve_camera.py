@@ -11,11 +11,11 @@ from stss.sequence.camera import CameraPose
 from stss_ref.arrays import Array, Image, Plane
 
 ROUNDS = 4
-"""Fits, each without the pixels that the one before it fits worst: mixtures at silhouettes."""
+"""Number of fits; each leaves out the pixels that the previous one fits worst: mixtures at silhouettes."""
 PIXELS = 20_000
-"""Most pixels that are looked at, evenly spread."""
+"""Most pixels that are used, evenly spread."""
 MIN_PIXELS = 16
-"""Fewest pixels that determine the unknowns with something to spare."""
+"""Fewest pixels that determine the unknowns with a margin."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class SolvedCamera:
 
 
 def solve_camera(depth: Plane, position: Image, *, ray: bool = False) -> SolvedCamera | None:
-    """Find where the camera stood.
+    """Find the camera's position.
 
     Planar depth: ``position = C + depth M (x, y, 1)`` is linear in ``C`` and ``M``. Distance along the ray:
     ``|position|^2 - depth^2 = 2 position . C - |C|^2`` is linear in ``C`` and ``|C|^2``.
@@ -44,7 +44,7 @@ def solve_camera(depth: Plane, position: Image, *, ray: bool = False) -> SolvedC
         ray: whether ``depth`` is the distance along the ray.
 
     Returns:
-        The camera; None where too few pixels see a surface, or all of them one that leaves it open.
+        The camera; None if too few pixels see a surface, or if that surface does not determine it.
     """
     y, x = np.nonzero(np.isfinite(depth) & np.isfinite(position).all(axis=-1))
     if len(y) > PIXELS:

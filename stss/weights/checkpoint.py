@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""The authors' checkpoint, read without PyTorch and without executing anything that it asks for.
+"""The authors' checkpoint, read without PyTorch and without executing anything in it.
 
-A checkpoint is a zip archive of one pickle, ``data.pkl``, and the numbers of each storage, ``data/0``, ``data/1``, ... Its pickle gets
-a dictionary of descriptions and nothing else: no class or function of Python.
+A checkpoint is a zip archive of one pickle, ``data.pkl``, and the numbers of each storage, ``data/0``, ``data/1``, ... Its pickle can
+only make a dictionary of descriptions, and no class or function of Python.
 
 Source: spec 10.
 """
@@ -75,7 +75,7 @@ def _entries(data: bytes) -> dict[str, bytes]:
     try:
         archive = zipfile.ZipFile(io.BytesIO(data))
         entries = archive.infolist()
-        # Only entries that are compressed, or share a place, are larger than the file together.
+        # Only compressed or overlapping entries are together larger than the file.
         if any(entry.compress_type != zipfile.ZIP_STORED or entry.file_size != entry.compress_size for entry in entries):
             raise WeightsError("an entry of the zip archive is compressed, which PyTorch never does")
         if sum(entry.file_size for entry in entries) > MAX_BYTES:
@@ -84,7 +84,7 @@ def _entries(data: bytes) -> dict[str, bytes]:
     except WeightsError:
         raise
     except Exception as error:
-        # The bytes may be anything: zipfile lets struct.error, ValueError and others through.
+        # For arbitrary bytes zipfile raises struct.error, ValueError and others.
         raise WeightsError(f"damaged or truncated zip archive ({_short(str(error))})") from error
     pickles = [name for name in files if re.fullmatch(r"([^/]+/)?data\.pkl", name)]
     if len(pickles) != 1 or len(files) < len(entries):
@@ -185,7 +185,7 @@ _Machine: Any = pickle._Unpickler  # type: ignore[attr-defined]  # the machine i
 
 
 class _Reader(_Machine):
-    """Python's machine for pickles, with the instructions of tensors alone, which find nothing to import."""
+    """Python's machine for pickles, limited to the instructions of tensors, which can import nothing."""
 
     dispatch: ClassVar[dict[int, Any]] = {code: _Machine.dispatch[code] for code in _INSTRUCTIONS}
 

@@ -56,7 +56,7 @@ class LoadedWeights:
 
 
 def identity(weights: Weights) -> str:
-    """SHA-256 of names, shapes and numbers, and of settings that are not the usual ones: equal for equal weights of any file."""
+    """SHA-256 of names, shapes and numbers, and of settings other than the defaults: equal for equal weights in any file."""
     digest = hashlib.sha256()
     if weights.hole_fill != "occlusion_warp":
         digest.update(f"{HOLE_FILL_KEY} {weights.hole_fill}\n".encode())
@@ -140,7 +140,7 @@ def save(path: str | Path, weights: Weights, metadata: Mapping[str, str]) -> Non
     Args:
         path: the file, ``.safetensors``.
         weights: checked before anything is written.
-        metadata: where they come from; the format's version, and settings that are not the usual ones, are added.
+        metadata: their origin; the format's version, and settings other than the defaults, are added.
 
     Raises:
         InputError: the file can't be written.

@@ -41,7 +41,8 @@ class ComponentRow:
 class Inspection:
     """The layers of weights, and the network's cost for frames of (height, width), padded to multiples of 8.
 
-    ``tiny`` of the numbers are not 0, but dropped by the backend (``stss_cl.liveness.drop_tiny``); ``subnormal`` of these.
+    ``tiny``: the count of numbers that are not 0 but that the backend drops (``stss_cl.liveness.drop_tiny``); ``subnormal``: how many of
+    these are subnormal.
     """
 
     height: int
@@ -88,7 +89,7 @@ def inspect(weights: Weights, height: int, width: int) -> Inspection:
 def component_costs(height: int, width: int) -> tuple[ComponentRow, ...]:
     """The paper's cost table (Tab. "Cost analysis for each component"), for frames of (height, width).
 
-    A row is its component's addition: the history and the ERM also widen the input of ``up1``, by 32 channels each.
+    A row counts its component: the history and the ERM also widen the input of ``up1``, by 32 channels each.
     Besides the convolutions, 11 operations are counted for each number that the decoder's three upsamplings produce. The
     paper's own numbers are for 968 x 544: its authors pad a width of 960 by 8 more.
     """
