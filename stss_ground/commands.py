@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 
 import click
 
+from stss_ground.errors import PipeClosedError
 from stss_ground.option_kinds import ReadName, ReadPath, WrittenFile, WrittenFolder
 from stss_ground.optional import require_own_conformance
 from stss_ground.output.places import require_places
@@ -58,6 +59,13 @@ class Commands(click.Group):
                 module, _, attribute = commands[cmd_name][0].partition(":")
                 return getattr(import_module(module), attribute)
         return None
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the command that was named."""
+        try:
+            return super().invoke(ctx)
+        except BrokenPipeError as error:
+            raise PipeClosedError from error
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write a list for each section."""

@@ -25,3 +25,7 @@ class DeviceError(UserError):
         self.log = log
         if log and hasattr(self, "add_note"):  # Python 3.11: shown in a traceback, not part of the message
             self.add_note(log)  # pyright: ignore[reportAttributeAccessIssue]
+
+
+class PipeClosedError(Exception):
+    """A `BrokenPipeError` that click lets pass: it ends one with status 1, which is that of a finding."""

@@ -6,11 +6,11 @@ from __future__ import annotations
 import errno
 import os
 import sys
-from typing import Any
+from typing import Any, TextIO
 
 import click
 
-from stss_ground.errors import UserError
+from stss_ground.errors import PipeClosedError, UserError
 from stss_ground.terminal import accept_any_text, echo
 
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
@@ -37,7 +37,8 @@ def run_guarded(command: click.Command, *mistakes: type[Exception]) -> None:
         _fail(str(error))
     except (KeyboardInterrupt, click.exceptions.Abort):
         status = 130
-    except BrokenPipeError:
+    except (BrokenPipeError, PipeClosedError):
+        _discard(sys.stdout)
         status = 141
     except MemoryError:
         _fail(_NO_MEMORY)
@@ -50,7 +51,7 @@ def run_guarded(command: click.Command, *mistakes: type[Exception]) -> None:
             _fail(f"{error.filename}: {error.strerror}")
         if error.errno == errno.ENOMEM:
             _fail(_NO_MEMORY)
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # the rest of the buffer would fail again
+        _discard(sys.stdout)
         _fail(f"standard output cannot be written: {error.strerror}" if error.errno in _FULL else f"{error.strerror or error}")
     sys.exit(status if isinstance(status, int) else 0)
 
@@ -76,5 +77,13 @@ def _require_utf8(words: list[str]) -> None:
 
 
 def _fail(message: str) -> None:
-    echo(f"stss: {message}", err=True)
+    try:
+        echo(f"stss: {message}", err=True)
+    except OSError:  # a log on a full disk; the status says it all the same
+        _discard(sys.stderr)
     sys.exit(2)
+
+
+def _discard(stream: TextIO) -> None:
+    """Send what follows nowhere: the rest of the buffer would fail again when the process ends."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())

@@ -43,6 +43,10 @@ class Terminal(Console):
         if not self.is_terminal and "COLUMNS" not in os.environ:
             self.width = WIDE
 
+    def on_broken_pipe(self) -> None:
+        """Leave it to the command, as any other error of writing; rich would end with status 1, which is that of a finding."""
+        raise BrokenPipeError
+
     def render_str(self, text: str, **how: Any) -> Text:
         """See ``rich.console.Console``; all arguments but markup are text."""
         return super().render_str("".join(c if c == "\n" else _shown(c) for c in text), **how)

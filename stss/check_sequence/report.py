@@ -113,10 +113,14 @@ def check(
         numbers = sorted(find_frames(Path(sequence_path), table.endings))
         findings += missing_frames(numbers)
         bar = partial(track, console=console, text="reading headers")
-        sequence = replace(reading, profile=table, non_finite="mask").open(sequence_path, bar)
+        sequence = replace(reading, profile=table, non_finite="mask").open(sequence_path, bar, keep_going=True)
         looked = [n for n in sequence.numbers if frames is None or frames[0] <= n <= frames[1]]
         if not looked:
             raise InputError(f"{sequence_path}: no frames from {frames}; it has {numbers[0]} to {numbers[-1]}")
+        findings += broken_frames(sequence, looked)
+        looked = [n for n in looked if sequence.frames[n].fault is None]
+        if not looked:
+            raise InputError(f"{sequence_path}: none of these frames can be read")
         findings += missing_buffers(sequence, looked)
         findings += [CheckFinding("warning", text) for text in sequence.alone]
         findings += data_windows(sequence, looked)
@@ -165,6 +169,15 @@ def missing_frames(numbers: list[int]) -> list[CheckFinding]:
     missing = chain.from_iterable(range(a + 1, b) for a, b in pairwise(numbers))  # lazily: numbers may lie far apart
     text = f"display frames {_listed(islice(missing, LISTED), count)} are not there: G-buffer and motion of each are needed"
     return [CheckFinding("error", text)]
+
+
+def broken_frames(sequence: Sequence, numbers: list[int]) -> list[CheckFinding]:
+    """Frames whose files cannot be read, or do not fit the others."""
+    faults = [fault for n in numbers if (fault := sequence.frames[n].fault)]
+    findings = [CheckFinding("error", str(fault)) for fault in faults[:LISTED]]
+    if (more := len(faults) - LISTED) > 0:
+        findings.append(CheckFinding("error", f"{more} more frames cannot be read, or do not fit the others"))
+    return findings
 
 
 def missing_buffers(sequence: Sequence, numbers: list[int]) -> list[CheckFinding]:

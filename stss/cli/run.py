@@ -58,11 +58,12 @@ def run(
     compute: ComputeOptions,
     suffix: str,
     cluster: str | None,
+    keep_going: bool,
     **others: Any,
 ) -> None:
     """Make SEQUENCE, a folder or a pattern like a.####.exr, twice as large and twice as fast."""
     console = Terminal(stderr=True)
-    frames = reading.open(sequence, partial(track, console=console, text="reading headers"))
+    frames = reading.open(sequence, partial(track, console=console, text="reading headers"), keep_going=keep_going)
     if reading.profile is None:
         _tell(f"profile: {frames.profile.name}, by the channels' names; --profile takes another")
     for note in frames.alone:
@@ -71,7 +72,7 @@ def run(
         _tell("camera: from position and depth; --camera CSV gives another")
     if reading.background == "camera":
         _tell("background: its motion is computed from the camera that positions give; the files' motion is not used there")
-    options = RunOptions.of(frames.profile, format=suffix, **others)
+    options = RunOptions.of(frames.profile, format=suffix, keep_going=keep_going, **others)
     if suffix == "png":
         _tell_of_png(frames, options)
     reads = [Path(weights)]
@@ -103,7 +104,7 @@ def run(
 def _tell_of_png(sequence: Sequence, options: RunOptions) -> None:
     if others := sequence.carries(options.also):
         _tell(f"png: without {', '.join(others)}; --format exr has them")
-    primaries = chromaticities(sequence.frames[sequence.numbers[0]].attributes)
+    primaries = chromaticities(sequence.first.attributes)
     if not same_primaries(primaries):
         words = ", ".join(f"{x:.4g}" for x in primaries)
         _tell(f"png: the colours' primaries are not sRGB's ({words}), and are not converted: a viewer shows other colours")

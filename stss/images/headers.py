@@ -8,12 +8,13 @@ window, whatever part of it its data windows cover.
 
 from __future__ import annotations
 
+import re
 import zlib
-from collections.abc import Generator, Mapping
+from collections.abc import Generator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 import OpenImageIO as oiio  # noqa: N813
@@ -34,6 +35,9 @@ MAX_PARTS = 256
 _BLOCK = 1 << 20
 _FORMATS = {"uint": "uint32"}
 """OpenImageIO's name of a format -> the usual one."""
+_BEAUTY_WORDS = {"rgb", "rgba", "beauty", "combined"}
+_BEAUTY_NAMES = {"c", "ci", "color", "colour", "image", "main"}
+"""Renderers' names for the part of the picture, as a word of its name or as all of it; Houdini writes ``N``, ``albedo`` and ``C``."""
 _MAGIC = {".exr": b"\x76\x2f\x31\x01", ".png": b"\x89PNG\r\n\x1a\n"}
 
 oiio.attribute("limits:channels", MAX_CHANNELS)
@@ -51,7 +55,7 @@ class Header:
         path: the file.
         display: its display window: the picture.
         windows: name -> data window of the channel's part: the pixels in the file.
-        channels: full names. Where parts of a multipart file repeat a name, the later one is ``PART.NAME``.
+        channels: full names. A name that several parts of a multipart file use is ``PART.NAME``, except in the part `_plain_part`.
         formats: name -> "half", "float", "uint32", "uint8", "uint16".
         compression: name -> "zip", "dwaa:45", ... of the channel's part; "" where the format has no choice of it.
         attributes: metadata of all parts; where parts differ, the first part's value.
@@ -153,32 +157,73 @@ def locate(path: Path, image: oiio.ImageInput) -> tuple[Header, dict[str, tuple[
     views: dict[str, None] = {}
     display = _display(image.spec())
     part, size = 0, 0
+    parts: list[_Part] = []
     while image.seek_subimage(part, 0):
         spec = image.spec()
         _check(path, spec, display)
         data = _data(spec)
         # For both windows: pixels are decoded in the first, and placed in the second.
         size += int(spec.pixel_bytes(True)) * max(data.width * data.height, display.width * display.height)
-        for index, name in enumerate(_names(path, spec)):
-            full = f"{spec.get_string_attribute('oiio:subimagename')}.{name}" if name in places else name
-            if full in places:
-                raise InputError(f"{path}: channel {full} appears twice")
-            places[full] = part, index
-            formats[full] = _FORMATS.get(kind := str(spec.channelformat(index)), kind)
-            windows[full] = data
-            compression[full] = spec.get_string_attribute("compression")
-            if compression[full].startswith("dwa"):
-                compression[full] += f":{spec.get_float_attribute('openexr:dwaCompressionLevel', DWA_LEVEL):g}"
         own = _attributes(spec)
+        parts.append(
+            _Part(
+                spec.get_string_attribute("oiio:subimagename"),
+                str(own.get("view", "")),
+                _names(path, spec),
+                tuple(_FORMATS.get(kind := str(spec.channelformat(i)), kind) for i in range(spec.nchannels)),
+                _compression(spec),
+                data,
+            )
+        )
         views |= dict.fromkeys(_words(own.get("multiView")) or _words(own.get("view")))
         attributes = own | attributes
-        part += 1
-        if part > MAX_PARTS or len(places) > MAX_CHANNELS or size > MAX_BYTES:
+        part, count = part + 1, sum(len(p.channels) for p in parts)
+        if part > MAX_PARTS or count > MAX_CHANNELS or size > MAX_BYTES:
             limits = f"{MAX_PARTS}, {MAX_CHANNELS} and {MAX_BYTES}"
-            raise InputError(f"{path}: {part} parts, {len(places)} channels, {size} bytes; at most {limits}")
+            raise InputError(f"{path}: {part} parts, {count} channels, {size} bytes; at most {limits}")
     last_error(image)
+    holders: dict[str, list[int]] = {}
+    for number, each in enumerate(parts):
+        for name in each.channels:
+            holders.setdefault(name, []).append(number)
+    plain = {name: _plain_part(parts, numbers) for name, numbers in holders.items()}
+    for number, each in enumerate(parts):
+        for index, name in enumerate(each.channels):
+            full = name if plain[name] == number else f"{each.name}.{name}"
+            if full in places:
+                raise InputError(f"{path}: channel {full} appears twice")
+            places[full] = number, index
+            formats[full], windows[full], compression[full] = each.formats[index], each.data, each.compression
     header = Header(path, display, windows, tuple(places), formats, compression, attributes, tuple(views))
     return header, places
+
+
+class _Part(NamedTuple):
+    """The header of a part of a file: its name, its view, its channels with their formats, its compression, its data window."""
+
+    name: str
+    view: str
+    channels: tuple[str, ...]
+    formats: tuple[str, ...]
+    compression: str
+    data: PixelWindow
+
+
+def _plain_part(parts: Sequence[_Part], holders: Sequence[int]) -> int | None:
+    """Of the parts that have a channel of one name, the one whose channel goes by it alone: that of the picture, in the first view.
+
+    None where no name says which part that is: a guess by their order would take normals for colours.
+    """
+    first = [n for n in holders if parts[n].view == parts[holders[0]].view]
+    if len(first) > 1:
+        names = {n: parts[n].name.lower() for n in first}
+        first = [n for n in first if names[n] in _BEAUTY_NAMES or _BEAUTY_WORDS & {*re.split(r"[\W_]+", names[n])}]
+    return first[0] if first else None
+
+
+def _compression(spec: oiio.ImageSpec) -> str:
+    kind = spec.get_string_attribute("compression")
+    return f"{kind}:{spec.get_float_attribute('openexr:dwaCompressionLevel', DWA_LEVEL):g}" if kind.startswith("dwa") else kind
 
 
 def _data(spec: oiio.ImageSpec) -> PixelWindow:

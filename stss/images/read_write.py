@@ -19,6 +19,8 @@ __all__ = ["Header", "read_channels", "read_header", "read_rgb", "write_channels
 
 WHOLE = 1 << 24
 """A 32-bit float holds every whole number up to this one."""
+_READ_AS = {"uint32": "uint", "uint16": "uint16"}
+"""Formats of whole numbers -> the kind of number to read them as; all others are read as floats."""
 _GAP = 4
 """Most unwanted channels between wanted ones that are read with them: a second read would decompress the file again."""
 
@@ -43,15 +45,18 @@ def read_channels(path: Path, names: Sequence[str], window: PixelWindow | None =
             if name not in places:
                 raise InputError(f"{path}: no channel {name}; it has {', '.join(header.channels)}")
         planes: dict[str, Plane] = {}
-        for part, first, stop, integer in _runs({places[n] + (header.formats[n] == "uint32",) for n in names}):
+        for part, first, stop, kind in _runs({(*places[n], _READ_AS.get(header.formats[n], "float")) for n in names}):
             data = next(header.windows[name] for name, place in places.items() if place[0] == part)
-            pixels = image.read_image(part, 0, first, stop, "uint" if integer else "float")
+            pixels = image.read_image(part, 0, first, stop, kind)
             error = last_error(image)
             if pixels is None or error or pixels.shape[:2] != data.size:
                 raise InputError(f"{path}: truncated or corrupt: {error or 'pixels cannot be decoded'}")
             for name in names:
                 if places[name][0] == part and first <= places[name][1] < stop:
                     values = pixels[..., places[name][1] - first]
+                    values = (
+                        values / 65535 if kind == "uint16" else values
+                    )  # OpenImageIO multiplies: some levels come a little low
                     values = moved(values, data, window or header.display)
                     planes[name] = _quiet(np.ascontiguousarray(values, dtype=np.float32))
                     if (bad := merged(values, planes[name])) is not None:
@@ -185,12 +190,12 @@ def encode_mask(path: Path, mask: Mask) -> bytes:
     return encode_png(path, np.where(mask, 255, 0).astype(np.uint8)[..., None], {})
 
 
-def _runs(channels: set[tuple[int, int, bool]]) -> list[tuple[int, int, int, bool]]:
-    """Join channels (part, index, integer) into runs (part, first, stop, integer) that are read at once."""
-    runs: list[tuple[int, int, int, bool]] = []
-    for part, index, integer in sorted(channels, key=lambda x: (x[0], x[2], x[1])):
-        if runs and runs[-1][0] == part and runs[-1][3] == integer and index - runs[-1][2] <= _GAP:
-            runs[-1] = part, runs[-1][1], index + 1, integer
+def _runs(channels: set[tuple[int, int, str]]) -> list[tuple[int, int, int, str]]:
+    """Join channels (part, index, kind of number) into runs (part, first, stop, kind) that are read at once."""
+    runs: list[tuple[int, int, int, str]] = []
+    for part, index, kind in sorted(channels, key=lambda x: (x[0], x[2], x[1])):
+        if runs and runs[-1][0] == part and runs[-1][3] == kind and index - runs[-1][2] <= _GAP:
+            runs[-1] = part, runs[-1][1], index + 1, kind
         else:
-            runs.append((part, index, index + 1, integer))
+            runs.append((part, index, index + 1, kind))
     return runs

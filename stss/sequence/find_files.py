@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import os
 import re
+import unicodedata
 from collections import defaultdict
 from collections.abc import Collection, Iterable
 from pathlib import Path
@@ -16,6 +17,7 @@ _SEPARATORS = "._- "
 _STEM = re.compile(r"(.*?)(\d+)(\D*)", re.DOTALL)
 """The frame number is the last group of digits of the name without its suffix."""
 _PATTERN = re.compile(r"(.*?)#+([^#]*)", re.DOTALL)
+_DIGIT = re.compile(r"\d")
 _FRACTION = re.compile(r"(.*[^\dvV]|)(\d+)\.", re.DOTALL)
 """The part before the digits of ``NAME.0001.5``; ``v1.0001`` is a version."""
 
@@ -44,8 +46,11 @@ class NumberedFile(NamedTuple):
     after: str
 
 
-def numbered_files(paths: Iterable[Path]) -> list[NumberedFile]:
+def numbered_files(paths: Iterable[Path], end: str = "") -> list[NumberedFile]:
     """Find the frame numbers in the names of files of one folder; a name without a number is left out.
+
+    ``end``: the end of the names without their suffix, behind the number; it may have digits. Names that do not end so are left out.
+    Accents may be written in either way (NFC, NFD): both are one name to most file systems.
 
     A minus sign stands behind a separator (``shot.-006``), or where other files of the name have no separator (``shot-006``,
     ``shot0001``). Elsewhere a dash is a separator: ``shot-0006`` is frame 6.
@@ -53,7 +58,12 @@ def numbered_files(paths: Iterable[Path]) -> list[NumberedFile]:
     Raises:
         InputError: a number has more than `MAX_DIGITS` digits.
     """
-    matches = [(path, match[1], match[2], match[3]) for path in paths if (match := _STEM.fullmatch(path.stem))]
+    stems = [(path, _composed(path.stem)) for path in paths]
+    matches = [
+        (path, match[1], match[2], match[3] + end)
+        for path, stem in stems
+        if stem.endswith(end) and (match := _STEM.fullmatch(stem.removesuffix(end)))
+    ]
     unseparated = {before for _, before, _, _ in matches}
     files: list[NumberedFile] = []
     for path, before, digits, after in matches:
@@ -78,9 +88,11 @@ def find_frames(path: Path, endings: Collection[str]) -> Frames:
     """
     stem = path.stem if path.suffix.lower() == ".exr" else path.name
     # A folder's name may have a #. Path.is_dir raises where a folder above cannot be entered.
-    pattern = None if os.path.isdir(path) else _PATTERN.fullmatch(stem)  # noqa: PTH112
+    pattern = None if os.path.isdir(path) else _PATTERN.fullmatch(_composed(stem))  # noqa: PTH112
     folder = path if pattern is None else path.parent
-    files = numbered_files(f for f in _files(path, folder) if f.suffix.lower() == ".exr" and not f.name.startswith("."))
+    end = pattern[2] if pattern is not None and _DIGIT.search(pattern[2]) else ""
+    images = (f for f in _files(path, folder) if f.suffix.lower() == ".exr" and not f.name.startswith("."))
+    files = numbered_files(images, end)
     parts = [(_name(file.before, file.after, endings), file) for file in files]
     if pattern is not None:
         own_name = (_name(pattern[1], pattern[2], endings) or (pattern[1].rstrip(_SEPARATORS) + pattern[2], ""))[0]
@@ -98,7 +110,9 @@ def find_frames(path: Path, endings: Collection[str]) -> Frames:
         raise InputError(f"{path}: no frames; expected files named like {kinds}{_fractions(files)}")
     if len(by_prefix) > 1:
         stems = ", ".join(name or "(no name)" for name in sorted(by_prefix))
-        raise InputError(f"{path}: several sequences: {stems}; give one as a pattern, like NAME.####.exr{_fractions(files)}")
+        raise InputError(
+            f"{path}: several sequences: {stems}; give one as a pattern, like NAME.####.exr, with #### for the number{_fractions(files)}"
+        )
     return next(iter(by_prefix.values()))
 
 
@@ -142,9 +156,13 @@ def _name(before: str, after: str, endings: Collection[str]) -> tuple[str, str] 
     """A name without its number, as (sequence, ending); None where no ending fits. The longest ending wins."""
     name = (before.rstrip(_SEPARATORS) + after).rstrip(_SEPARATORS)
     for ending in sorted(endings, key=len, reverse=True):
-        if name.endswith(ending):
-            return name.removesuffix(ending).rstrip(_SEPARATORS), ending
+        if name.endswith(_composed(ending)):
+            return name.removesuffix(_composed(ending)).rstrip(_SEPARATORS), ending
     return None
+
+
+def _composed(name: str) -> str:
+    return unicodedata.normalize("NFC", name)
 
 
 def _gap(before: str) -> str:

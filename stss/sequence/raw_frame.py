@@ -52,6 +52,7 @@ class RawFrame:
         camera: None where it is not known.
         attributes: metadata that compositors need, `CARRIED`.
         data: buffer -> data window of its part.
+        fault: why its files cannot be read, or do not fit the others; None: they do.
     """
 
     files: tuple[Path, ...]
@@ -59,6 +60,7 @@ class RawFrame:
     camera: CameraPose | None
     attributes: Mapping[str, Value] = field(default_factory=dict[str, Value])
     data: Mapping[str, PixelWindow] = field(default_factory=dict[str, PixelWindow])
+    fault: InputError | None = None
 
 
 def read_stored(

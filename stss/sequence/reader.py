@@ -21,7 +21,7 @@ from stss.sequence.background import Background, background_motion, projection_o
 from stss.sequence.camera import CameraPose, camera_of, read_cameras
 from stss.sequence.channels import Source, find_buffers, layers_of, missing_buffers, view_of
 from stss.sequence.conventions import linear_depth, require_depth_buffer, to_specification
-from stss.sequence.find_files import find_frames
+from stss.sequence.find_files import Frames, find_frames
 from stss.sequence.profiles import BUFFERS, CONSTANTS, Profile, load_profile, profile_names
 from stss.sequence.projection import Projection
 from stss.sequence.raw_frame import CARRIED, UNIT_RANGE, NonFinite, RawFrame, read_stored, settle_all_finite, settle_non_finite
@@ -90,8 +90,13 @@ class Sequence:
 
     @property
     def rendered(self) -> frozenset[int]:
-        """The frames that have a colour."""
-        return frozenset(number for number, frame in self.frames.items() if "color" in frame.sources)
+        """The frames that have a colour. One that cannot be read counts among them: without it every frame would be a rendered one."""
+        return frozenset(number for number, frame in self.frames.items() if "color" in frame.sources or frame.fault)
+
+    @property
+    def first(self) -> RawFrame:
+        """The first frame that can be read."""
+        return next(frame for number in self.numbers if (frame := self.frames[number]).fault is None)
 
     def has(self, number: int, buffer: str) -> bool:
         """Whether a buffer of a frame is in the frame's files, is a constant, or can be computed."""
@@ -166,6 +171,8 @@ class Sequence:
     def _load(self, number: int, *, color: bool = True, also: Collection[str] = ()) -> Buffers:
         """The frame with the motion that its files have."""
         frame = self._frame(number)
+        if frame.fault is not None:
+            raise frame.fault
         if missing := [buffer for buffer in BUFFERS if buffer != "color" and not self.has(number, buffer)]:
             there = sorted({name for path in frame.files for name in read_header(path).channels})
             raise missing_buffers(self.profile, missing, self._where(number), there)
@@ -198,7 +205,8 @@ class Sequence:
 
     def carries(self, also: Collection[str] = ()) -> tuple[str, ...]:
         """Names of the planes that are carried with the colour of the first rendered frame, see `load`."""
-        return tuple(self._carried(min(self.rendered), also)) if self.rendered else ()
+        number = next((number for number in self.numbers if "color" in self.frames[number].sources), None)
+        return () if number is None else tuple(self._carried(number, also))
 
     @property
     def alone(self) -> tuple[str, ...]:
@@ -206,7 +214,7 @@ class Sequence:
         return tuple(note for note in (self._one_view(), self._one_layer()) if note)
 
     def _one_layer(self) -> str:
-        color = self.frames[self.numbers[0]].sources.get("color")
+        color = self.first.sources.get("color")
         if color is None:
             return ""
         read, *others = layers_of(read_header(color.path), self.profile, color)
@@ -218,7 +226,7 @@ class Sequence:
         )
 
     def _one_view(self) -> str:
-        frame = self.frames[self.numbers[0]]
+        frame = self.first
         views = tuple(dict.fromkeys(view for path in frame.files for view in read_header(path).views))
         if len(views) < 2 or self.profile.view or "color" not in frame.sources:
             return ""
@@ -229,7 +237,7 @@ class Sequence:
     @property
     def solves_camera(self) -> bool:
         """Whether the camera is found from position and depth: the files have neither a camera nor NoV."""
-        frame = self.frames[self.numbers[0]]
+        frame = self.first
         return frame.camera is None and "nov" not in frame.sources
 
     def _outside(self, frame: RawFrame) -> Mask | None:
@@ -307,6 +315,7 @@ def open_sequence(
     non_finite: NonFinite = "refuse",
     background: Background = "files",
     track: Track = iter,
+    keep_going: bool = False,
 ) -> Sequence:
     """Find the frames of a sequence; reads headers, no pixels.
 
@@ -321,6 +330,8 @@ def open_sequence(
         background: the source of the background's motion. "files": the files' motion. "camera": the rotation of the camera, which the
             positions of static geometry give (`stss.sequence.background`).
         track: may show how many headers are read.
+        keep_going: a frame whose headers cannot be read, or that has another size than the first, is an error when it is loaded, and
+            not before.
 
     Returns:
         The frames; `Sequence` says what they hold.
@@ -348,16 +359,18 @@ def open_sequence(
     first: Header | None = None
     frames: dict[int, RawFrame] = {}
     for number in track(sorted(files_by_number)):
-        headers = {ending: read_header(file) for ending, file in files_by_number[number].items()}
-        for header in headers.values():
-            first = first or header
-            if header.display != first.display:
-                found_size, size = (f"{h.display.width} x {h.display.height}" for h in (header, first))
-                if found_size == size:
-                    found_size, size = (f"display window {h.display}" for h in (header, first))
-                raise InputError(f"{header.path}: {found_size}; expected {size}, as {first.path.name} is")
-        frames[number] = _frame_of(number, headers, table, cameras, camera)
-    assert first is not None
+        try:
+            headers = {ending: read_header(file) for ending, file in files_by_number[number].items()}
+            for header in headers.values():
+                first = first or header
+                _require_window(header, first)
+            frames[number] = _frame_of(number, headers, table, cameras, camera)
+        except InputError as error:
+            if not keep_going:
+                raise
+            frames[number] = RawFrame(tuple(files_by_number[number].values()), {}, None, fault=error)
+    if first is None:
+        raise next(frame.fault for frame in frames.values() if frame.fault)
     canvas = _canvas(path, first.display, frames.values())
     _require_buffers(path, table, frames, constants)
     settings = {
@@ -393,9 +406,9 @@ class SequenceOptions:
     non_finite: NonFinite = "refuse"
     background: Background = "files"
 
-    def open(self, path: str | Path, track: Track = iter) -> Sequence:
+    def open(self, path: str | Path, track: Track = iter, *, keep_going: bool = False) -> Sequence:
         """Open a sequence with these choices; errors as of `open_sequence`."""
-        return open_sequence(path, **vars(self), track=track)
+        return open_sequence(path, **vars(self), track=track, keep_going=keep_going)
 
 
 def settle_profile(path: Path, profile: str | Path | Profile | None) -> Profile:
@@ -406,7 +419,7 @@ def settle_profile(path: Path, profile: str | Path | Profile | None) -> Profile:
 
 
 def find_profile(path: Path) -> Profile:
-    """The built-in profile whose channels the first frame has most of.
+    """The built-in profile whose channels the first frame that can be read has most of.
 
     Raises:
         InputError: there is no sequence, no profile fits three buffers, two profiles fit equally many, or several layers fit
@@ -420,14 +433,13 @@ def find_profile(path: Path) -> Profile:
         table = load_profile(name)
         try:
             files_by_number = find_frames(path, table.endings)
-            files = files_by_number[min(files_by_number)]
-            headers = {ending: read_header(file) for ending, file in files.items()}
+            number, headers = _first_headers(files_by_number)
         except InputError as error:
             refusals.append(error)
             continue
         channels |= dict.fromkeys(name for header in headers.values() for name in header.channels)
         try:
-            scores[name] = len(_frame_of(min(files_by_number), headers, table, None, None).sources)
+            scores[name] = len(_frame_of(number, headers, table, None, None).sources)
         except InputError as error:
             layers.append(error)
     if layers and max(scores.values(), default=0) < LEAST:
@@ -440,6 +452,27 @@ def find_profile(path: Path) -> Profile:
         known = ", ".join(profile_names())
         raise InputError(f"{path}: the channels fit no profile alone: {names}; say --profile {known} or a TOML file of your own")
     return load_profile(best[0])
+
+
+def _first_headers(files_by_number: Frames) -> tuple[int, dict[str, Header]]:
+    """The first frame whose headers can be read, and these; raises the first frame's InputError where there is none."""
+    fault = None
+    for number in sorted(files_by_number):
+        try:
+            return number, {ending: read_header(file) for ending, file in files_by_number[number].items()}
+        except InputError as error:
+            fault = fault or error
+    assert fault is not None
+    raise fault
+
+
+def _require_window(header: Header, first: Header) -> None:
+    """Raise InputError unless a file has the display window of the first one."""
+    if header.display != first.display:
+        found, size = (f"{h.display.width} x {h.display.height}" for h in (header, first))
+        if found == size:
+            found, size = (f"display window {h.display}" for h in (header, first))
+        raise InputError(f"{header.path}: {found}; expected {size}, as {first.path.name} is")
 
 
 def _frame_of(
@@ -482,5 +515,6 @@ def _require_buffers(path: Path, profile: Profile, frames: Mapping[int, RawFrame
     found = {*constants, *(buffer for frame in frames.values() for buffer in frame.sources)}
     missing = [buffer for buffer in BUFFERS if buffer not in found and buffer != "nov"]  # which follows from position and depth
     if missing:
-        there = sorted({name for file in next(iter(frames.values())).files for name in read_header(file).channels})
+        sound = next(frame for frame in frames.values() if frame.fault is None)
+        there = sorted({name for file in sound.files for name in read_header(file).channels})
         raise missing_buffers(profile, missing, path, there)

@@ -70,7 +70,7 @@ def write_raw(path, channels, half=()):
         encode.require_finite = finite
 
 
-KINDS = {"uint8": "uint8", "uint32": "uint", "float32": "float"}
+KINDS = {"uint8": "uint8", "uint16": "uint16", "uint32": "uint", "float32": "float"}
 """OpenImageIO's names for them."""
 
 

@@ -522,6 +522,23 @@ def test_without_files_in_memory_a_cut_picture_is_found_too(tmp_path, monkeypatc
         assert (tmp_path / name).read_bytes() == whole
 
 
+@pytest.mark.skipif(os.name != "posix", reason="a pipe that is closed")
+def test_a_reader_that_leaves_is_told_from_a_finding(demo):
+    """``stss ... | head``: 141, as of a program that SIGPIPE ends; 1 would be a warning."""
+    reader, writer = os.pipe()
+    os.close(reader)
+    command = [sys.executable, "-m", "stss", "weights", "inspect", "bilinear"]
+    result = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, text=True, check=False)
+    os.close(writer)
+    assert (result.returncode, result.stderr) == (141, "")
+
+
+def test_a_mistake_is_status_2_where_no_message_can_be_written(tmp_path):
+    with open("/dev/full", "w") as full:  # noqa: PTH123
+        command = [sys.executable, "-m", "stss", "check", str(tmp_path / "nothing")]
+        assert subprocess.run(command, stdout=subprocess.DEVNULL, stderr=full, check=False).returncode == 2
+
+
 def test_what_is_printed_to_a_full_disk(demo):
     with open("/dev/full", "w") as full:  # noqa: PTH123
         command = [sys.executable, "-m", "stss", "weights", "inspect", "bilinear", "--json"]

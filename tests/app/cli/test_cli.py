@@ -10,10 +10,10 @@ import pytest
 
 from stss.demo import demo_path, write_demo_sequence
 from stss.images.color import transfer
-from stss.images.read_write import read_header, read_rgb
+from stss.images.read_write import read_header, read_rgb, write_channels
 from stss.run.skip_report import describe_costs
 from stss_cl.cost import Cost
-from tests.app.conftest import PLAIN, files, frames_of
+from tests.app.conftest import PLAIN, files, frame_channels, frames_of
 from tests.hostile.cases import call, refused
 
 SIZE = (18, 32)
@@ -167,6 +167,26 @@ def test_a_bad_frame_stops_the_run_at_its_turn_or_is_left_out(changeable, tmp_pa
     assert names(tmp_path / "out") == [f"frame.000{n}.exr" for n in (0, 1, 2, 3, 6, 7, 8, 9)]
 
 
+@pytest.mark.parametrize("fault", ["empty", "header", "size"])
+def test_a_frame_whose_header_is_bad_is_left_out_like_any_other(fault, changeable, tmp_path):
+    """A renderer's placeholder has no bytes; a frame may be of another size."""
+    bad = demo_path(changeable, 4)
+    content = {"empty": b"", "header": bad.read_bytes()[:300]}
+    if fault == "size":
+        write_channels(bad, frame_channels(4, (20, 20)))
+    else:
+        bad.write_bytes(content[fault])
+    result = stss("run", changeable, *PLAIN, "-o", tmp_path / "out", "--keep-going")
+    assert result.returncode == 1
+    assert str(bad) in result.stderr
+    assert names(tmp_path / "out") == [f"frame.000{n}.exr" for n in (0, 1, 2, 3, 6, 7, 8, 9)]
+    refused(stss("run", changeable, *PLAIN, "-o", tmp_path / "none"), bad)
+    report = stss("check", changeable)
+    assert report.returncode == 2
+    (line,) = (line for line in report.stdout.splitlines() if line.startswith("error"))
+    assert bad.name in line
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -182,6 +202,7 @@ def test_a_bad_frame_stops_the_run_at_its_turn_or_is_left_out(changeable, tmp_pa
         ("run {frames} -o out --weights {frames}/demo.0000.exr", ["demo.0000.exr"]),
         ("run {frames} -o {frames}/demo.0000.exr", ["demo.0000.exr"]),
         ("compare {frames} nowhere", ["nowhere"]),
+        ("compare . {frames}", ["no frames", "NAME.0001.png"]),
         ("weights inspect nothing", ["nothing"]),
         ("weights import {frames}/demo.0000.exr -o w.safetensors", ["demo.0000.exr"]),
         ("supersample", ["supersample"]),

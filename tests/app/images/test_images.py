@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from stss.images import read_write as images
+from stss.quality.metrics import to_8bit
 from stss_ground.errors import InputError
 from tests.app.conftest import write_parts
 
@@ -158,7 +159,7 @@ def test_rgb_comes_from_one_layer(tmp_path):
 
 
 def test_parts_are_one_file(tmp_path):
-    """A later part's channel whose name is taken goes by its part's name."""
+    """A channel whose name another part has too goes by its part's name."""
     path, parts = tmp_path / "a.exr", (("rgb", "RGB", 0.5), ("depth", "Z", 1.5), ("normal", "RGB", 2.5))
     write_parts(
         path, *((np.full((4, 5, len(n)), x, np.float32), tuple(n), {"oiio:subimagename": (part,)}) for part, n, x in parts)
@@ -166,6 +167,38 @@ def test_parts_are_one_file(tmp_path):
     assert images.read_header(path).channels == ("R", "G", "B", "Z", "normal.R", "normal.G", "normal.B")
     read = images.read_channels(path, ["normal.G", "R", "Z"])
     assert [plane[0, 0] for plane in read.values()] == [2.5, 0.5, 1.5]
+
+
+@pytest.mark.parametrize(
+    ("parts", "picture"),
+    [
+        (("N", "albedo", "C"), "C"),
+        (("CryptoObject00", "rgba"), "rgba"),
+        (("depth_main", "rgba_main"), "rgba_main"),
+        (("ViewLayer.Normal", "ViewLayer.Combined"), "ViewLayer.Combined"),
+        (("N", "albedo"), None),
+    ],
+)
+def test_the_picture_is_the_part_of_its_name_not_the_first(tmp_path, parts, picture):
+    """Houdini names the channels of every part R, G, B, and the picture's part C, the last one."""
+    path = tmp_path / "a.exr"
+    filled = [np.full((2, 3, 3), x, np.float32) for x in range(len(parts))]
+    write_parts(path, *((p, tuple("RGB"), {"oiio:subimagename": (name,)}) for p, name in zip(filled, parts, strict=True)))
+    others = {f"{part}.{c}" for part in parts if part != picture for c in "RGB"}
+    assert {*images.read_header(path).channels} == others | ({*"RGB"} if picture else set())
+    if picture:
+        assert (images.read_rgb(path) == parts.index(picture)).all()
+    else:
+        with pytest.raises(InputError, match=r"expected channels R, G, B or one layer with them; it has N\.R, N\.G"):
+            images.read_rgb(path)
+
+
+def test_sixteen_bits_have_the_levels_of_eight(tmp_path):
+    levels = np.arange(256, dtype=np.uint8).reshape(16, 16, 1).repeat(3, axis=2)
+    write_parts(tmp_path / "a.png", (levels, tuple("RGB"), {}))
+    write_parts(tmp_path / "b.png", (levels.astype(np.uint16) * 257, tuple("RGB"), {}))
+    for name in ("a.png", "b.png"):
+        np.testing.assert_array_equal(to_8bit(images.read_rgb(tmp_path / name)), levels)
 
 
 @pytest.mark.parametrize("name", ["a.exr", "a.png"])

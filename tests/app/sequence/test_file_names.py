@@ -1,5 +1,6 @@
 """Frame numbers in the names of files: signs, fractions, patterns, names with unusual characters."""
 
+import unicodedata
 from pathlib import Path
 
 import numpy as np
@@ -76,6 +77,23 @@ def test_a_pattern_says_where_the_separators_are(tmp_path):
     assert find_names(tmp_path, *twice, path=tmp_path / "a_####.exr") == {1: "a_0001", 2: "a_0002"}
     assert find_names(tmp_path, *twice, path=tmp_path / "a.####") == {1: "a.0001"}
     assert find_names(tmp_path, "b#c.0001", path=tmp_path / "b#c.#.exr") == {1: "b#c.0001"}
+
+
+def test_a_pattern_says_which_number_is_the_frame(tmp_path):
+    names = {n: f"sh_000{n}_v02.4k" for n in (1, 2)}
+    assert find_names(tmp_path, *names.values(), "sh_0003_v01.4k", path=tmp_path / "sh_####_v02.4k.exr") == names
+    with pytest.raises(InputError, match=r"with #### for the number"):
+        find_names(tmp_path)
+
+
+def test_accents_are_written_in_two_ways(tmp_path):
+    """A file system of macOS gives NFD where a keyboard gives NFC."""
+    composed, parted = (unicodedata.normalize(form, "épée") for form in ("NFC", "NFD"))
+    for name, other in ((composed, parted), (parted, composed)):
+        folder = tmp_path / str(len(name))
+        assert find_names(folder, f"{name}.0001", path=folder / f"{other}.#.exr") == {1: f"{name}.0001"}
+        (folder / f"a {name}.0001.exr").touch()
+        assert find_frames(folder / "a.#.exr", {other})[1][other].stem == f"a {name}.0001"
 
 
 def test_a_folder_may_have_a_number_sign(tmp_path):
