@@ -16,8 +16,8 @@ class Cost:
     """The cost of a frame.
 
     Attributes:
-        changed: share of the tiles of 4 x 4 pixels in which something changed; where they are most of the frame, of the pixels whose
-            inputs then differed; 1 if nothing was compared.
+        changed: share of the tiles of 4 x 4 pixels that changed; if these are most of the frame, the share of the pixels whose inputs
+            differed; 1 if nothing was compared.
         network: the part of the network that ran.
     """
 

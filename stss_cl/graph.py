@@ -2,7 +2,7 @@
 """The network's graph, made from the table of layers: its operations in order, for every engine.
 
 The host's plan, the networks in PyTorch for training and for the benchmark, and the ONNX model follow from these nodes. `stss_ref` and
-the ports in C++ and WGSL are written out: they are read.
+the ports in C++ and WGSL are written out, since people read them.
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ from stss_ref.weights import ATTENTION, BY_NAME, Layer
 T = TypeVar("T")
 
 UPSAMPLED = ".upsampled"
-"""Behind a layer's name: the part of its input that is upsampled first."""
+"""Suffix of a layer's name: the part of its input that is upsampled first."""
 
 
 @dataclass(frozen=True)
 class Convolution:
-    """A layer of the results ``reads``, side by side."""
+    """A layer that reads the results ``reads``, side by side."""
 
     layer: Layer
     reads: tuple[str, ...]
 
     @property
     def name(self) -> str:
-        """Of the result: the layer's."""
+        """The divisor of the result: the layer's."""
         return self.layer.name
 
     @property
@@ -57,10 +57,10 @@ Node = Convolution | Upsampling | Attention
 
 
 def nodes(layers: Mapping[str, Layer] = BY_NAME) -> Iterator[Node]:
-    """The nodes of a network, each behind those that it reads.
+    """The nodes of a network, each after those that it reads.
 
     Args:
-        layers: those that run, in order, with their remaining inputs (`stss_cl.liveness.find_live`).
+        layers: the layers that run, in order, with their remaining inputs (`stss_cl.liveness.find_live`).
     """
     is_reshaded = False
     for layer in layers.values():
@@ -75,7 +75,7 @@ def nodes(layers: Mapping[str, Layer] = BY_NAME) -> Iterator[Node]:
 
 
 def divisor_of(name: str) -> int:
-    """The result, or source, has 1 / divisor of the frame's height and width."""
+    """The divisor of a result or source, which has 1 / divisor of the frame's height and width."""
     return BY_NAME[name].divisor if name in BY_NAME else {"gbuffer": 8, "reshaded": 8}.get(name, 1)
 
 
@@ -84,7 +84,7 @@ GRAPH = tuple(nodes())
 
 
 class Operations(Protocol[T]):
-    """An engine that computes the network on values of its own kind."""
+    """An engine that computes the network on values of its own type."""
 
     def convolve(self, x: T, layer: Layer) -> T:
         """A layer with its gate and its ReLU."""
@@ -95,7 +95,7 @@ class Operations(Protocol[T]):
         ...
 
     def attend(self, light: T, material: T, mask: T) -> T:
-        """Stage ``erm`` behind its layers: values and keys at an eighth, not yet masked or divided by their length."""
+        """Stage ``erm`` after its layers: values and keys at an eighth, not yet masked or divided by their length."""
         ...
 
     def reduce(self, x: T) -> T:
@@ -130,7 +130,7 @@ def evaluate(
         do: the operations.
         color, gbuffer, mask, history: as in `stss_ref.network.network`, padded to multiples of 8.
         graph: of `nodes`.
-        results: results, by name, that nodes read and ``graph`` does not compute.
+        results: further results, by name, that nodes read.
 
     Returns:
         All results by name.

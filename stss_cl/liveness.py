@@ -14,16 +14,16 @@ from stss_ref.arrays import Array, Mask
 from stss_ref.weights import ATTENTION, BY_NAME, LAYERS, SOURCES, Layer, Tensors, Weights
 
 GROUP = 16
-"""Units are left out in groups of this size, in which kernels sum; a layer of 24 is one group."""
+"""Units are left out in groups of this size, in which kernels sum; a layer of 24 channels is one group."""
 
 TINY = 2.0**-100
-"""Weights and biases below this can be taken for 0: a layer of 1152 products of inputs up to 65504 changes by less than 2^-73. Products of
+"""Weights and biases below this can count as 0: a layer of 1152 products of inputs up to 65504 changes by less than 2^-73. Products of
 those that stay are normal numbers for inputs from 2^-26 on; of smaller ones they are subnormal, and then some processors take a hundred
 cycles for each."""
 
 
 def is_tiny(tensor: NDArray[Any]) -> Mask:
-    """Where a number is not 0, but below ``TINY``."""
+    """True where a number is not 0, but below ``TINY``."""
     return (tensor != 0) & (np.abs(tensor) < TINY)
 
 
@@ -37,7 +37,7 @@ class Live(NamedTuple):
 
     Attributes:
         layers: those that must run, in order, with their remaining inputs and units.
-        once: names of those whose result no frame changes.
+        once: names of the layers whose result no frame changes.
         tensors: their arrays.
     """
 
@@ -47,7 +47,7 @@ class Live(NamedTuple):
 
     @property
     def reads_history(self) -> bool:
-        """Whether the image depends on the history: not if kernels on every way from it are exactly 0, such as those of its last layer."""
+        """Whether the image depends on the history: not if kernels on every path from it are exactly 0."""
         return any("history" in layer.reads for layer in self.layers.values())
 
 
@@ -118,10 +118,10 @@ def _parts(layer: Layer) -> Iterator[tuple[str, int, int]]:
 
 
 def colors_read(weights: Weights, live: Live) -> int:
-    """How many of the three colour frames, from the newest on, the image depends on."""
+    """The number of colour frames, from the newest on, on which the image depends."""
     return 3 if weights.second_color == "detail" or live.reads_history else 1
 
 
 def has_residual(weights: Tensors) -> bool:
-    """Whether the network adds anything: if its last layer is all zeros, the image is the upsampled frame, whatever else is computed."""
+    """Whether the network adds anything: if its last layer is all zeros, the image is the upsampled frame."""
     return bool(np.any(weights["outc.weight"]) or np.any(weights["outc.bias"]))

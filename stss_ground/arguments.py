@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Check the arguments of the API before use: a wrong kind is the caller's mistake, and one line."""
+"""Check the arguments of the API before use: a wrong type is the caller's mistake, and one line."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from stss_ground.errors import InputError
 
 
 def require_kind(name: str, value: Any, kinds: type | tuple[type, ...], expected: str) -> None:
-    """Raise InputError unless ``value`` is of one of the kinds; a truth value is no number."""
+    """Raise InputError unless ``value`` is of one of the types; a bool is no number."""
     if not isinstance(value, kinds) or (
         isinstance(value, bool) and bool not in (kinds if isinstance(kinds, tuple) else (kinds,))
     ):

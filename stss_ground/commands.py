@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Commands that are imported when they are called, and options in groups."""
+"""Commands that are imported only when they are called, and options in groups."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def places_of(ctx: click.Context) -> tuple[dict[str, Path], list[Path], list[Pat
 
 
 class Commands(click.Group):
-    """A group whose commands stand in sections; each is imported when it is called."""
+    """A group whose commands stand in sections; each is imported only when it is called."""
 
     def __init__(self, *words: Any, sections: Sections, **options: Any):
         super().__init__(*words, **options)
@@ -51,7 +51,7 @@ class Commands(click.Group):
         return [name for commands in self.sections.values() for name in commands]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Import a command; None where there is none of that name."""
+        """Import a command; None if there is none of that name."""
         del ctx
         require_own_conformance()  # before a command imports it
         for commands in self.sections.values():
@@ -97,7 +97,7 @@ class Subcommand(click.Command):
     """
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Parse; images of which a shell made many words are said to be that."""
+        """Parse; if a shell expanded a pattern to many images, the error says so."""
         images = [word for word in args if word.lower().endswith(IMAGES)]
         try:
             return super().parse_args(ctx, args)
@@ -110,10 +110,10 @@ class Subcommand(click.Command):
             raise
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run the command, unless a file that is written is one that is read.
+        """Run the command, unless it would write a file that it reads.
 
         Raises:
-            InputError: it is.
+            InputError: it would.
         """
         outputs, inputs, folders = places_of(ctx)
         require_places(outputs, inputs, new_folders=folders)

@@ -17,7 +17,7 @@ _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 """Errors of a write to standard output where no more data fits."""
 _NO_MEMORY = "out of memory: the system gives this process no more"
 _SHORT_OF_MEMORY = ("failed to map segment", "annot allocate memory", "can't start new thread")
-"""Messages of libraries where memory is short and Python has no MemoryError."""
+"""Messages of libraries that lack memory and raise no MemoryError."""
 
 
 def run_guarded(command: click.Command, *mistakes: type[Exception]) -> None:
@@ -57,7 +57,7 @@ def run_guarded(command: click.Command, *mistakes: type[Exception]) -> None:
 
 
 def _hold_standard_streams() -> None:
-    """Open the null device where a standard stream is closed: else the next file that is opened would get the output."""
+    """Open the null device in place of a closed standard stream; otherwise the next opened file would get the output."""
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         try:
             os.fstat(number)

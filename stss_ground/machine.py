@@ -23,7 +23,7 @@ def cpu_flags() -> frozenset[str]:
 
 
 def _cpuinfo(field: str) -> str:
-    """Of the first core; empty where there is none."""
+    """The entry of the first core; empty if there is none."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
         return next(line.partition(":")[2].strip() for line in lines if line.startswith(field))

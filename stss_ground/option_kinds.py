@@ -40,7 +40,7 @@ class ReadPath(_Place):
 
 
 class ReadName(click.ParamType):  # pyright: ignore[reportMissingTypeArgument]
-    """A file that is read, or a name that stands for one that comes with stss."""
+    """A file that is read, or the name of one that comes with stss."""
 
     name = "text"
 

@@ -51,7 +51,7 @@ def show_progress(
             took = time.monotonic() - start
             rate = count / took
             pace = f", {rate:.2f} {unit}/s, {timedelta(seconds=round((total - count) / rate))} left" if count else ""
-            # With the time so far no two lines are equal: a reader of the log sees that it goes on.
+            # With the elapsed time no two lines are equal: a reader of the log sees that work goes on.
             line = f"{count} of {total} {unit} in {timedelta(seconds=round(took))}{pace}" + (f": {label}" if label else "")
             console.print(line, soft_wrap=True, markup=False, highlight=False)
 
@@ -70,7 +70,7 @@ def show_progress(
             yield advance
         finally:
             ended.set()
-            if lines:  # its last line is out before the next message
+            if lines:  # its last line must be printed before the next message
                 lines.join()
 
 

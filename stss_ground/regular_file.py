@@ -45,7 +45,7 @@ def read_regular(path: Path, most: int) -> bytes:
 
 
 def read_json(path: Path, most: int) -> Any:
-    """Read a regular file of JSON, which anybody may have written.
+    """Read a regular file of JSON, from any source.
 
     Args:
         path: the file; links are followed.

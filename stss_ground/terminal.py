@@ -16,7 +16,7 @@ from rich.console import Console
 from rich.text import Text
 
 WIDE = 200
-"""Columns where there is no terminal: a number in a file that is cut to fit 80 of them is lost."""
+"""Columns without a terminal: in a file, a number that is cut to fit 80 columns would be lost."""
 MAX_LENGTH = 2000
 """Most characters of a message; text from a file may be longer and is cut."""
 

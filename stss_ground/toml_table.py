@@ -47,7 +47,7 @@ def read_toml(path: Path, error: Callable[[str], Exception]) -> Table:
 
 
 class Table:
-    """A TOML table whose keys are taken one by one; a key that is left at the end is unknown."""
+    """A TOML table whose keys are taken one by one; a key that is left over at the end is unknown."""
 
     def __init__(self, path: Path | str, prefix: str, error: Callable[[str], Exception], table: dict[str, Any]):
         self.path, self.prefix, self.error, self.rest = path, prefix, error, dict(table)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The matrix units of processors (Intel's AMX): whether this one has them, may use them, and computes right with them (kernels/amx.clh)."""
+"""Matrix units of processors (Intel's AMX): whether this one has them, may use them, and computes rightly (kernels/amx.clh)."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from stss_cl.device.proof import are_right
 from stss_ground.machine import cpu_flags
 
 NEEDED = frozenset({"amx_tile", "amx_bf16", "avx512_bf16", "avx512vl"})
-"""Flags of a processor whose tiles multiply bfloat16, and that converts to it; Linux lists one only if the kernel, too, can use it."""
+"""Flags of a processor with tiles that multiply bfloat16, and with conversions to it; Linux lists a flag only if its kernel supports it."""
 ARCH_PRCTL, REQUEST_PERMISSION, TILE_DATA = 158, 0x1023, 18
-"""Linux's system call on x86-64 by which a process asks for the tiles' 8 KiB of state, once for all its threads."""
+"""Linux's system call on x86-64 with which a process requests the tiles' 8 KiB of state, once for all its threads."""
 
 
 def missing(device: Properties) -> str:
-    """Why products of bfloat16 are emulated on this device; "" if they need not be, as far as can be said without trying."""
+    """The reason to emulate products of bfloat16 on this device; "" if none is known before a test."""
     if device.kind != "CPU" or not device.is_cpu:
         return "no processor"
     if platform.machine() != "x86_64" or not cpu_flags() >= NEEDED:
@@ -36,12 +36,12 @@ def missing(device: Properties) -> str:
 
 
 def are_used(device: Device) -> bool:
-    """Whether products run on matrix units: one was right to the last bit."""
+    """Whether products run on matrix units: a test product was right to the last bit."""
     return not missing(device) and are_right(device, "amx", lambda: product_is_right(device, emulate=False))
 
 
 def emulated(device: Device) -> str:
-    """Why products of bfloat16 are emulated; "" if they are not."""
+    """The reason why products of bfloat16 are emulated; "" if they are not."""
     return missing(device) or ("" if are_used(device) else "a product of its matrix units (AMX) was wrong, or did not build")
 
 
@@ -54,7 +54,7 @@ def permitted() -> bool:
 
 
 def product_is_right(device: Device, *, emulate: bool) -> bool:
-    """Whether one product has the bits that it must have."""
+    """Whether a test product has the right bits."""
     random = np.random.default_rng(0)
     a, b = (to_bfloat16(random.normal(size=size)) for size in ((16, 32), (16, 16, 2)))
     bias = random.normal(size=16).astype(np.float32)
@@ -68,7 +68,7 @@ def product_is_right(device: Device, *, emulate: bool) -> bool:
 
 
 def multiplied(sums: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """``sums`` (P, 16) + ``a`` (P, 32) ``b`` (16, 16, 2), with the units' roundings: even and odd places have a sum each.
+    """``sums`` (P, 16) + ``a`` (P, 32) ``b`` (16, 16, 2), with the units' roundings: even and odd places have separate sums.
 
     Source: Intel's Software Developer's Manual, TDPBF16PS.
     """

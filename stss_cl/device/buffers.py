@@ -20,10 +20,10 @@ from stss_ref.arrays import Array, ArrayError, require_dtype
 FLAGS = cl.mem_flags
 
 SLACK = 80
-"""Pixels behind the last row, for strips and tiles of 32 pixels that reach over its end (kernels/common.clh)."""
+"""Pixels behind the last row, for strips and tiles of 32 pixels that go beyond its end (kernels/common.clh)."""
 
 BFLOAT16 = np.dtype(np.uint16)
-"""Stands for bfloat16, which NumPy has not: the upper halves of floats."""
+"""In place of bfloat16, which NumPy lacks: the upper halves of floats."""
 
 Plain = Array | cla.Array
 """A NumPy array, or one on the device: ``pyopencl.array.Array(queue, shape, dtype, data=buffer)`` wraps an engine's buffer."""
@@ -39,7 +39,7 @@ class Padded:
     Attributes:
         data: the buffer; it holds ``images`` images one behind the other.
         height, width, channels: the shape of an image, without its border.
-        dtype: float32, or how they are stored else: float16, ``BFLOAT16``.
+        dtype: of the stored values: float32, float16 or ``BFLOAT16``.
         images: number of images.
         changes: the change maps (kernels/change_map.clh) of the images, one behind the other; None: there are none.
     """
@@ -64,7 +64,7 @@ class Padded:
 
     @property
     def inside(self) -> tuple[slice, slice]:
-        """Where the activations lie in (rows, columns)."""
+        """The slices of the activations within (rows, columns)."""
         return slice(1, self.height + 1), slice(1, self.width + 1)
 
 
@@ -92,7 +92,7 @@ def padded_bytes(height: int, width: int, channels: int, dtype: np.dtype[Any], i
 
 
 def map_bytes(height: int, width: int, images: int = 1) -> int:
-    """Size of change maps: a byte for each pixel, rows and columns rounded up to whole fours; 64 more may be read behind them."""
+    """Size of change maps: a byte for each pixel, rows and columns rounded up to whole fours; kernels may read 64 more behind them."""
     return images * (-(-height // 4) * 4) * (-(-width // 4) * 4) + 64
 
 
@@ -189,7 +189,7 @@ def _context(buffer: cl.Buffer) -> Any:
 
 
 def part(device: Device, buffer: cl.Buffer, first: int, size: int) -> cl.Buffer:
-    """The ``size`` bytes of a buffer from byte ``first`` on: in place where the device allows a buffer to begin there, else a copy."""
+    """The ``size`` bytes of a buffer from byte ``first`` on: in place if the device allows a buffer to begin there, otherwise a copy."""
     if size and first % (device.handle.mem_base_addr_align // 8) == 0:
         return buffer.get_sub_region(first, size)
     copy = cl.Buffer(device.context, FLAGS.READ_WRITE, size)
@@ -245,7 +245,7 @@ class Outgoing:
         queue.flush()
 
     def renew(self) -> None:
-        """Have the next ``send`` download anew: ``data`` is written again."""
+        """Let the next ``send`` download again, since ``data`` was written again."""
         self._arriving = None
 
     def finish(self) -> Any:

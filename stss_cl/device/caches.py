@@ -50,7 +50,7 @@ def private(*parts: str) -> Path:
     """The folder ``stss/<parts>`` of ``home()``, made with mode 0700 if need be.
 
     Raises:
-        DeviceError: it, or one above it, is not a folder, belongs to another user, or sits where others may replace it.
+        DeviceError: it, or a folder above it, is not a folder, belongs to another user, or lies where others may replace it.
     """
     folder = home()
     _refuse_others(folder)
@@ -94,7 +94,7 @@ def read(path: Path, most: int) -> bytes | None:
 
 @contextmanager
 def pocl_cache(version: str) -> Generator[Path]:
-    """Have PoCL store compiled kernels in a private folder, one for each ``version`` of PoCL, unless the user named a folder; yields it.
+    """Let PoCL store compiled kernels in a private folder, one for each ``version`` of PoCL, unless the user named a folder; yields it.
 
     PoCL reads ``$POCL_CACHE_DIR`` when it is first asked for its devices and never again; the environment is restored
     afterwards, since a child process may load another PoCL.
@@ -112,17 +112,17 @@ def pocl_cache(version: str) -> Generator[Path]:
 
 
 def _pin_threads() -> None:
-    """Have PoCL pin each of its threads to a processor, if this process may use all processors.
+    """Let PoCL pin each of its threads to a processor, if this process may use all processors.
 
-    Without that, two of its threads were seen sharing one processor for whole seconds while another was idle, which doubles the
-    time. The threads read the environment when they start, at an unknown moment, so the variable stays.
+    Without that, two of its threads shared one processor for whole seconds while another was idle, which doubles the time. The threads
+    read the environment when they start, at an unknown moment, so the variable stays.
     """
     if hasattr(os, "sched_getaffinity") and len(os.sched_getaffinity(0)) == os.cpu_count():
         os.environ.setdefault("POCL_AFFINITY", "1")
 
 
 def _secure(folder: Path) -> bool:
-    """Refuse a folder of another user, and take others' right to write from ours. Returns whether they had it."""
+    """Refuse a folder of another user, and remove the right of others to write to ours. Returns whether they had it."""
     if not hasattr(os, "getuid"):
         return False  # Windows: the profile's folder has its own access list
     status = folder.lstat()
@@ -174,7 +174,7 @@ def _serves(folder: Path) -> bool:
 
 
 def _executes(folder: Path) -> bool:
-    """Whether compiled kernels can be loaded from there: not where it is mounted without execution."""
+    """Whether compiled kernels can be loaded from there: a file system may be mounted without execution."""
     return not (hasattr(os, "statvfs") and os.statvfs(folder).f_flag & getattr(os, "ST_NOEXEC", 0))
 
 
@@ -199,7 +199,7 @@ def _refuse_others(folder: Path) -> None:
 
 @lru_cache(1)
 def temporary_folder() -> Path:
-    """A folder for this process alone, for when the cache home cannot be used; DeviceError if there is none either."""
+    """A folder for this process alone, if the cache home cannot be used; DeviceError if this cannot be made either."""
     try:
         folder = Path(tempfile.mkdtemp(prefix="stss-"))
     except OSError:

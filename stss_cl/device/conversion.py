@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""How activations are stored: as float, half or bfloat16, by instructions of the processor where it has them."""
+"""The storage of activations: float, half or bfloat16, converted by the processor's own instructions if it has them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from stss_cl.device.proof import are_right
 from stss_ground.machine import cpu_flags
 
 LARGEST = 65504.0
-"""Half's largest number, which stands for all that are larger."""
+"""Half's largest number; larger numbers are stored as this one."""
 
 
 def stored_as(device: Device, dtype: np.dtype[Any]) -> dict[str, object]:
@@ -29,17 +29,17 @@ def stored_as(device: Device, dtype: np.dtype[Any]) -> dict[str, object]:
 
 
 def has_instructions(device: Properties) -> bool:
-    """Whether the processor has instructions that convert half (x86-64's F16C), and a compiler that takes them."""
+    """Whether the processor has instructions that convert half (x86-64's F16C), and the compiler knows them."""
     return device.is_pocl_processor and platform.machine() == "x86_64" and "f16c" in cpu_flags()
 
 
 def converts_half(device: Device) -> bool:
-    """Whether the processor's own instructions convert half: all conversions were right."""
+    """Whether the processor's own instructions convert half: a test found all conversions right."""
     return has_instructions(device) and are_right(device, "half", lambda: conversions_are_right(device, instructions=True))
 
 
 def conversions_are_right(device: Device, *, instructions: bool) -> bool:
-    """Whether every half, what lies half-way between two or a little beside, and what is too large have the bits that they must have."""
+    """Whether every half, numbers half-way between two or a little beside, and too large numbers are converted rightly."""
     halves = np.arange(0x7C00, dtype=np.uint16).view(np.float16).astype(np.float32)
     ties = (halves[:-1] + halves[1:]) / 2  # exact in float32
     positive = np.concatenate([halves, ties, np.nextafter(ties, 0), np.nextafter(ties, np.inf), [LARGEST + 16, 1e6, 3e38]])

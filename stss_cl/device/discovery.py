@@ -39,7 +39,7 @@ __all__ = [
 
 
 def no_device() -> str:
-    """The message where there is no device: how to get one on this platform."""
+    """The message if there is no device: how to install one on this platform."""
     if sys.platform == "linux" and platform.machine() == "x86_64":
         cure = "pip install 'pyopencl[pocl]' gives one that runs on any processor"
     elif sys.platform == "win32":
@@ -51,11 +51,11 @@ def no_device() -> str:
 
 generate_once()
 _first_process = cache(os.getpid)
-"""The process that first used OpenCL: a driver's threads do not survive a fork."""
+"""The process that first used OpenCL; a driver's threads do not survive a fork."""
 
 DeviceClass = Literal["cpu", "gpu"]
 CLASSES: tuple[DeviceClass, ...] = get_args(DeviceClass)
-"""``cpu``: work-items of a group run one after the other, and memory is the host's. ``gpu``: neither is so."""
+"""``cpu``: work-items of a group run one after the other, and memory is the host's. ``gpu``: neither holds."""
 
 MAKERS = {"nvidia": ("nvidia",), "amd": ("advanced micro devices", "amd"), "intel": ("intel",)}
 """Maker -> parts of the vendor's name in the device's properties."""
@@ -102,7 +102,7 @@ class Properties:
 
     @property
     def maker(self) -> str:
-        """``nvidia``, ``amd`` or ``intel``, by which tile sizes are chosen; "" if it is not a GPU, or not treated as one."""
+        """``nvidia``, ``amd`` or ``intel``, which chooses tile sizes; "" if it is not a GPU, or not treated as one."""
         if self.is_cpu or not self.is_gpu:
             return ""
         vendor = str(self.handle.vendor).lower()
@@ -130,12 +130,12 @@ class Properties:
 
     @property
     def correctly_rounded_divide(self) -> bool:
-        """Whether it accepts ``-cl-fp32-correctly-rounded-divide-sqrt``; without it a quotient may err by 2.5 ulp."""
+        """Whether it accepts ``-cl-fp32-correctly-rounded-divide-sqrt``; without it a quotient may be wrong by 2.5 ulp."""
         return bool(self.handle.single_fp_config & cl.device_fp_config.CORRECTLY_ROUNDED_DIVIDE_SQRT)
 
     @property
     def local_memory(self) -> int:
-        """Bytes of ``local`` memory that a work-group may use; check before a launch, since PoCL ends the process beyond it."""
+        """Bytes of ``local`` memory that a work-group may use; check it before a launch, since PoCL ends the process at more."""
         return int(self.handle.local_mem_size)
 
     @property
@@ -225,11 +225,11 @@ def find_devices() -> list[cl.Device]:
     """Every device of every platform, sorted by name: the loader's order is not stable.
 
     Raises:
-        DeviceError: the process is a fork of one that used OpenCL, the kernel cache is not safe, or ``$STSS_LINKER`` means nothing.
+        DeviceError: the process is a fork of one that used OpenCL, the kernel cache is not safe, or ``$STSS_LINKER`` has an unknown value.
     """
     _require_same_process(_first_process())
     provide()
-    with pocl_cache("unknown"):  # in case a version of PoCL looks for its devices this early
+    with pocl_cache("unknown"):  # since a version of PoCL may look for its devices this early
         try:
             platforms = cl.get_platforms()
         except cl.Error:
@@ -260,7 +260,8 @@ def name_devices() -> dict[str, cl.Device]:
 def matching(name: str | None) -> dict[str, cl.Device]:
     """The devices whose name contains ``name``, or else whose platform's version does, ignoring case; None: all devices.
 
-    A full name selects only that device. The version is searched for ``pocl``, whose platform is named Portable Computing Language.
+    A full name selects only that device. The version is searched because ``pocl`` is not in the name of PoCL's platform, Portable
+    Computing Language.
 
     Raises:
         DeviceError: no device fits.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The Python code that PyOpenCL generates for kernels: never read from a file, and generated once for kernels that are alike."""
+"""The Python code that PyOpenCL generates for kernels: never read from a file, and generated once for equal kernels."""
 
 from __future__ import annotations
 

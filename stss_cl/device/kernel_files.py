@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Check PoCL's cache of compiled kernels before PoCL reads it: PoCL ends the process where a file is damaged."""
+"""Check PoCL's cache of compiled kernels before PoCL reads it: at a damaged file PoCL ends the process."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ YOUNG = 300.0
 on a busy machine."""
 MOST_BYTES = 64 << 20
 BOOT = Path("/proc/sys/kernel/random/boot_id")
-"""Another text after each start of the system."""
+"""A text that changes with each start of the system."""
 _LINE = re.compile(r"([0-9a-f]{64}) ([0-9a-f]{16}|-) (.+)")
 
 
@@ -47,10 +47,10 @@ class FileRecord(NamedTuple):
 def mend(folder: Path) -> None:
     """Remove damaged files of PoCL's cache, so that PoCL builds them anew, and say so; once in a process.
 
-    A file of the list must have its checksum. Another one, of a process that was killed, must be as long as its own header says.
+    A file of the list must have its checksum. Any other file, left by a killed process, must be as long as its own header says.
     A file that was read since the system started, and not written to since, is not read again: a cache of hundreds of MiB
-    would take seconds. This process adds its own files to the list at its end. It leaves files alone that another may be writing: PoCL
-    ends a process whose file goes while it links.
+    would take seconds. This process adds its own files to the list at its end. It does not touch files that another process may be
+    writing: PoCL ends a process whose file disappears while it links.
     """
     used, now = _is_used(folder), time.time()
     listed, files = _read(folder), dict[str, FileRecord]()
@@ -78,7 +78,7 @@ def mend(folder: Path) -> None:
 
 
 def _is_used(folder: Path) -> bool:
-    """Whether another process uses the cache; from here on this one does, too. False where locks cannot be had."""
+    """Whether another process uses the cache; from now on this one does, too. False if there are no locks."""
     used = False
     with suppress(OSError):
         if fcntl is not None:
@@ -98,7 +98,7 @@ def _lock(folder: Path) -> int:
 
 
 def _written(entry: os.DirEntry[str]) -> float:
-    """When a file was last written to, in seconds; 0 where it has gone."""
+    """The time of the last write to a file, in seconds; 0 if the file is gone."""
     try:
         return entry.stat(follow_symlinks=False).st_mtime
     except OSError:
@@ -138,7 +138,7 @@ def _object_ends(data: bytes) -> bool:
 
 
 def _remember(folder: Path, listed: set[str], boot: str) -> None:
-    """Add the files that have come since to the list, which another process may have changed."""
+    """Add new files to the list, which another process may have changed."""
     new: dict[str, FileRecord] = {}
     for name, entry in _files(folder):
         if name not in listed:
@@ -161,7 +161,7 @@ def _files(folder: Path, below: str = "") -> Iterator[tuple[str, os.DirEntry[str
 
 
 def _state(entry: os.DirEntry[str], boot: str) -> str:
-    """A text that changes once a file is written to, or the system starts again, when the last writes may be lost; or "-"."""
+    """A text that changes when a file is written to, and when the system starts again, since the last writes may be lost then; or "-"."""
     try:
         status = entry.stat(follow_symlinks=False)
     except OSError:

@@ -15,24 +15,24 @@ from stss_cl.device.discovery import Device
 from stss_cl.device.program import Program
 
 Arguments = Mapping[str, Any]
-"""A kernel's arguments by their names in its source, those that are structs by the names of their members; None: no buffer."""
+"""A kernel's arguments by their names in its source, and those of structs by the names of their members; None: no buffer."""
 
 NUMBERS: Mapping[str, type] = {"int": np.int32, "uint": np.uint32, "float": np.float32, "ulong": np.uint64}
 """Type of a number in a kernel -> NumPy's; a number is of Python or NumPy, and a bool is an int."""
 FORMATS = {"int": "i", "uint": "I", "float": "f"}
-"""Type of a struct's member -> its format for Python's ``struct``: all have the same size, so that nothing lies between them."""
+"""Type of a struct's member -> its format for Python's ``struct``: all have the same size, so there is no padding between them."""
 
 
 class Kernel:
     """A kernel whose arguments are set by name.
 
     Args:
-        program: has it.
-        name: of the kernel.
-        arguments: those that are known by now.
+        program: the program with the kernel.
+        name: the kernel's name.
+        arguments: the arguments that are known by now.
 
     Raises:
-        TypeError: the kernel has no such argument, or it is of another type; or its source is not understood.
+        TypeError: the kernel has no such argument, or it is of another type; or the source has an unknown form.
     """
 
     def __init__(self, program: Program, name: str, arguments: Arguments | None = None):
@@ -78,7 +78,7 @@ class Kernel:
             self._open = self._open - values.keys()
 
     def enqueue(self, queue: cl.CommandQueue, size: tuple[int, ...], group: tuple[int, ...] | None) -> cl.Event:
-        """Put it into the queue, over a global size in work-groups.
+        """Enqueue the kernel over a global size in work-groups.
 
         Raises:
             TypeError: an argument has not been set.
@@ -88,7 +88,7 @@ class Kernel:
         return cl.enqueue_nd_range_kernel(queue, self._kernel, size, group)
 
     def load(self, queue: cl.CommandQueue, size: tuple[int, ...], group: tuple[int, ...] | None, **nothing: Any) -> cl.Event:
-        """Launch it now with ``nothing`` to do, since runtimes load or compile a kernel at its first launch; missing arguments stay so."""
+        """Launch it now, with the arguments ``nothing`` for no work: runtimes load or compile a kernel at its first launch."""
         missing = self._open
         unset = {name: None if name in self._places and self._places[name][1].endswith("*") else 0 for name in missing}
         self.set(**{**unset, **nothing})
@@ -115,7 +115,7 @@ class Launch:
     Attributes:
         name: the layer or step that it computes, e.g. ``down1.conv2``.
         kernel: the kernel.
-        arguments: those that it was made with, kept because OpenCL does not keep buffers alive.
+        arguments: its first arguments, kept because OpenCL does not keep buffers alive.
         size: global size.
         group: work-group size; None = the runtime's choice.
     """
@@ -131,7 +131,7 @@ class Launch:
         self.kernel.set(**values)
 
     def load(self, queue: cl.CommandQueue, **nothing: Any) -> None:
-        """Launch it now with ``nothing`` to do; its arguments stay."""
+        """Launch it now with the arguments ``nothing``, so that it does no work; its own arguments stay."""
         self.kernel.load(queue, self.size, self.group, **nothing)
         self.set(**{name: self.arguments[name] for name in nothing if name in self.arguments})
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""A linker for PoCL on machines that have none: those without a C compiler, like most containers.
+"""A linker for PoCL on machines without a C compiler, like most containers.
 
-PoCL brings a compiler with it, but calls the system's ``ld``, and has it look for the C compiler's own libraries, which no kernel needs. If
-either is missing, it ends the process at the first kernel. Then a small program of ours is put into ``$PATH`` under that name.
+PoCL contains a compiler, but calls the system's ``ld`` with the C compiler's own libraries, which no kernel needs. If either is
+missing, PoCL ends the process at the first kernel. In that case a small program of ours is put into ``$PATH`` under the name ``ld``.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from stss_ground.errors import DeviceError
 
 CHOICES = ("own", "system")
 COMPILERS = ("/usr/lib*/gcc*/*/*",)
-"""Where a system keeps the libraries of its C compiler, and PoCL looks for them; patterns of folders."""
+"""The folders in which PoCL looks for the libraries of the system's C compiler; patterns."""
 LIBRARIES = ("/lib/*-linux-gnu", "/usr/lib/*-linux-gnu", "/lib64", "/usr/lib64", "/lib", "/usr/lib")
 MOST_BYTES = 1 << 16
 PROGRAM = Path(__file__).with_name("own_linker.py")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Whether a device has NVIDIA's matrix units, how they want their operands, and whether they compute what kernels/mma.clh assumes."""
+"""NVIDIA's matrix units: whether a device has them, the order of their operands, and whether they compute as kernels/mma.clh assumes."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def arrange(weight: NDArray[Any]) -> NDArray[Any]:
 
 
 def prove(device: Device) -> bool:
-    """Whether one product came out right to the last bit."""
+    """Whether a test product is right to the last bit."""
     return may_have(device) and are_right(device, "matrix units", lambda: _product_is_right(device))
 
 

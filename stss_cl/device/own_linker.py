@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A linker for PoCL's objects: it makes one relocatable object of x86-64 into a shared object, where a machine has no linker of its own.
+"""A linker for PoCL's objects: it turns one relocatable object of x86-64 into a shared object, on a machine without a linker.
 
 It is a program: ``python own_linker.py -o OUT ... IN.o ...``, as ``ld`` is called; all other options are ignored. PoCL's objects refer
 to nothing outside themselves, and only by the distance of two places. So three steps of a linker's work are left: put the sections behind
@@ -35,7 +35,7 @@ READ, WRITE, EXECUTE = 4, 2, 1
 
 
 class LinkError(Exception):
-    """An object that is damaged, or needs more of a linker than this one does."""
+    """An object that is damaged, or needs a feature that this linker lacks."""
 
 
 class Section(NamedTuple):
@@ -78,7 +78,7 @@ class Relocatable(NamedTuple):
         return _text(self.strings, symbol.name)
 
     def is_loaded(self, section: Section) -> bool:
-        """Whether it is a part of the shared object. Frame tables are not: no exception passes a kernel."""
+        """Whether it is a part of the shared object. Frame tables are not, since no exception passes a kernel."""
         return section.kind == PROGRAM_BITS and bool(section.flags & ALLOCATED) and _text(self.names, section.name) != ".eh_frame"
 
 

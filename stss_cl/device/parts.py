@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Memory of zeros; small buffers that are parts of one, so that they are cleared and read at once."""
+"""Memory of zeros; small buffers that are parts of a large one, so that they are cleared and read at once."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ def whole_pages(size: int) -> int:
 
 
 class Parts:
-    """Buffers of these sizes, in bytes, at first of zeros.
+    """Buffers of these sizes, in bytes, filled with zeros.
 
     Attributes:
         whole: the one buffer.
-        firsts: the byte of it at which each begins, and the end.
+        firsts: the first byte of each in ``whole``, and the end.
         buffers: in the order of the sizes.
     """
 
@@ -57,7 +57,7 @@ class Parts:
         cl.enqueue_fill_buffer(self._device.queue, self.whole, np.zeros(1, np.uint32), 0, self.whole.size)
 
     def read(self, queue: cl.CommandQueue | None = None) -> list[NDArray[np.uint8]]:
-        """The bytes of each; one read, which waits for the ``queue``, or for the device's own."""
+        """The bytes of each, by one read, which waits for the ``queue``, or for the device's own."""
         host: NDArray[Any] = np.empty(self.firsts[-1], np.uint8)
         cl.enqueue_copy(self._device.queue if queue is None else queue, host, self.whole)
         return [host[first : first + size] for first, size in self._places()]

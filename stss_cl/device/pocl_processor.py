@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Name a processor for PoCL's compiler where it is newer than the compiler.
+"""Name a processor for PoCL's compiler, if the processor is newer than the compiler.
 
 LLVM 14, in the wheel's PoCL 3.0, calls Zen 5 ``generic``, which its own front end refuses: no kernel builds. PoCL reads the name from its
-record of the device whenever it compiles. So it is replaced there by that of an older processor, all of whose instructions this one has.
+record of the device whenever it compiles. So the name of an older processor replaces it there; this processor has all instructions of
+that one.
 """
 
 from __future__ import annotations
@@ -24,23 +25,23 @@ ICE_LAKE = AVX512 | {
     *("gfni", "vaes", "vpclmulqdq", "sha_ni"),
 }
 KNOWN = (("icelake-client", ICE_LAKE), ("skylake-avx512", AVX512), ("haswell", AVX2), ("x86-64", frozenset[str]()))
-"""Names, the best first, and the features that such a processor must have, as Linux names them: a compiler uses them unasked."""
+"""Names, the best first, and the features that such a processor must have, by Linux's names, since the compiler uses all of them."""
 RECORD = 2048
-"""Bytes of a device's record in which the name is looked for; in PoCL 3.0 it is at 640."""
+"""Bytes of a device's record that are searched for the name; in PoCL 3.0 it is at 640."""
 
 given_names: dict[int, ctypes.Array[ctypes.c_char]] = {}
-"""The name given, by the address of the device's record; it must live as long as the process."""
+"""The new name, by the address of the device's record; it must live as long as the process."""
 
 
 @cache
 def substitute() -> str:
-    """A name for this processor where its own is not known; "" on a system that cannot list its instructions."""
+    """A name to use for this processor if its own is unknown; "" on a system that cannot list its instructions."""
     flags = cpu_flags()
     return next(name for name, required in KNOWN if flags >= required) if flags and sys.platform == "linux" else ""
 
 
 def name_processor(handle: cl.Device) -> None:
-    """Have PoCL compile for ``substitute()`` if its compiler does not know the processor; else nothing changes."""
+    """Let PoCL compile for ``substitute()`` if its compiler does not know the processor."""
     if not handle.version.rstrip().endswith(f"-{UNKNOWN}") or not substitute() or handle.int_ptr in given_names:
         return
     for place in range(handle.int_ptr, handle.int_ptr + RECORD, 8):
@@ -62,7 +63,7 @@ class _Piece(ctypes.Structure):
 
 
 def read_memory(address: int, size: int) -> bytes:
-    """Memory of this process through the system, which refuses a wrong address: then it is empty."""
+    """Memory of this process, read through the system, which refuses a wrong address; empty in that case."""
     buffer = ctypes.create_string_buffer(size)
     pieces = (ctypes.byref(_Piece(where, size)) for where in (ctypes.addressof(buffer), address))
     got = ctypes.CDLL(None).process_vm_readv(os.getpid(), next(pieces), 1, next(pieces), 1, 0)

@@ -25,20 +25,20 @@ from stss_ground.errors import DeviceError
 
 _PACKAGE = Path(__file__).parents[1]
 KERNELS = _PACKAGE / "kernels" if (_PACKAGE / "kernels").is_dir() else _PACKAGE.parent / "kernels"
-"""Where the sources are: inside the wheel, or beside the package in a checkout."""
+"""The folder of the sources: inside the wheel, or beside the package in a checkout."""
 
 MOST_BINARY = 64 << 20
 """Most bytes of a compiled program that is stored; ours have some 100 KiB."""
 
 DIGEST = hashlib.sha256().digest_size
-"""Bytes of the digest with which a stored binary begins."""
+"""Bytes of the digest at the beginning of a stored binary."""
 
 MAKERS_OPTIONS = {"intel": "-D static= -D inline="}
 """Options for a maker's GPUs; "" for other devices. Where a function is static, Intel's compiler of 2022 unrolls no loop as it is told,
 and keeps arrays in memory."""
 
 FLUSH = "-cl-denorms-are-zero"
-"""Kernels take subnormal numbers for 0, so that their time does not depend on the data: processors of Intel take a hundred cycles for each
+"""Kernels treat subnormal numbers as 0, so that their time does not depend on the data: processors of Intel take a hundred cycles for each
 operation that has one. PoCL sets its threads so for each launch."""
 
 _building = Lock()
@@ -60,13 +60,13 @@ class Program:
 
     def arguments(self, kernel: str) -> list[tuple[str, str]]:
         """Name and type of each argument of a kernel, in order."""
-        if kernel not in self._arguments:  # read once: milliseconds, and a frame of another size has fifty kernels
+        if kernel not in self._arguments:  # read once, since it takes milliseconds, and a frame of another size has fifty kernels
             self._arguments[kernel] = signatures.arguments(self._text, kernel, self._defined)
         return self._arguments[kernel]
 
 
 _programs: WeakKeyDictionary[Device, dict[tuple[str, str], Program]] = WeakKeyDictionary()
-"""By device, not by context: programs hold their context, and would keep themselves alive."""
+"""Kept by device, not by context: programs hold their context, and would keep themselves alive."""
 
 
 def build(device: Device, file: str, options: Mapping[str, object] | None = None, flags: str = "") -> Program:
@@ -93,7 +93,7 @@ def build(device: Device, file: str, options: Mapping[str, object] | None = None
 
 
 def marking(device: Device, marks: bool) -> Mapping[str, object]:
-    """The option that says whether a kernel marks changes; processors, also as GPUs, give it a map or none (change_map.clh)."""
+    """The option by which a kernel marks changes; on processors, also as GPUs, an argument decides (change_map.clh)."""
     return {} if device.kind == "CPU" else {"MARK": int(marks)}
 
 
@@ -125,7 +125,7 @@ def _build(device: Device, file: str, options: str) -> Program:
         with warnings.catch_warnings(), _our_options_alone():
             if "PYOPENCL_COMPILER_OUTPUT" in os.environ:
                 return _stored_or_built(device, text, options)
-            # Not only faults: Intel's compiler reports every kernel that it has made vectors of.
+            # Not only faults: Intel's compiler reports every kernel that it has vectorised.
             warnings.simplefilter("ignore", cl.CompilerWarning)
             # -w: PoCL's compiler writes "1 warning generated." straight to the terminal of stss run.
             return _stored_or_built(device, text, f"{options} -w")
@@ -136,7 +136,7 @@ def _build(device: Device, file: str, options: str) -> Program:
 
 @contextmanager
 def _our_options_alone() -> Generator[None]:
-    """Hide ``$PYOPENCL_BUILD_OPTIONS``, which PyOpenCL adds to every program: no self-test has seen our programs with it."""
+    """Hide ``$PYOPENCL_BUILD_OPTIONS``, which PyOpenCL adds to every program: no self-test has tested our programs with it."""
     theirs = os.environ.pop("PYOPENCL_BUILD_OPTIONS", None)
     try:
         yield

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A device's own instructions are used where a test of them came out right."""
+"""A device's own instructions are used if a test of them gives the right result."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _results: WeakKeyDictionary[cl.Context, dict[str, bool]] = WeakKeyDictionary()
 
 
 def are_right(device: Device, instructions: str, test: Callable[[], bool]) -> bool:
-    """Whether the test of the ``instructions`` of this name passes; run once for each context. What does not build is not right."""
+    """Whether the test of the ``instructions`` of this name passes; run once for each context. A failed build counts as wrong."""
     results = _results.setdefault(device.context, {})
     if instructions not in results:
         results[instructions] = False

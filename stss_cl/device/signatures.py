@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """The arguments of kernels, read from their source.
 
-A driver has the names of arguments only if it was asked to keep them, and seldom those of a program that was built from a binary. So the
-source is the one place that says them. The text is not preprocessed: this reads the few forms in which our kernels declare arguments.
+A driver knows the names of arguments only on request, and seldom those of a program that was built from a binary. So they are taken from
+the source. The text is not preprocessed: this module reads the few forms in which our kernels declare arguments.
 """
 
 from __future__ import annotations

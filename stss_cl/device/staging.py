@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Page-locked memory between the host's arrays and a device that is no processor: made once, used again, and copied without waiting."""
+"""Page-locked memory between the host's arrays and a GPU: allocated once, reused, and copied without waiting."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ class Staging:
     """The page-locked memory of one device.
 
     Attributes:
-        uploads: a queue for what arrives, `downloads`: one for what leaves; the device's own has the launches. Only events order them.
+        uploads, downloads: a queue for each; the device's own queue has the launches. Only events order them.
     """
 
     def __init__(self, device: Device):
         # Not the context itself: ``_made`` forgets what no context but this holds.
         self._queue, self._pool = device.queue, device.pool
         self.uploads, self.downloads = cl.CommandQueue(device.context), cl.CommandQueue(device.context)
-        # A queue in order waits for all that is in it before it maps: new memory is mapped in one that is empty.
+        # An in-order queue finishes all its commands before it maps: so new memory is mapped in an empty queue.
         self._mapping = cl.CommandQueue(device.context)
         self._free: dict[int, list[NDArray[np.uint8]]] = {}
         self._copying: list[tuple[Any, NDArray[np.uint8]]] = []
@@ -42,13 +42,13 @@ class Staging:
         return buffer
 
     def write(self, buffer: cl.Buffer, array: NDArray[Any], queue: cl.CommandQueue | None = None) -> None:
-        """Enqueue that ``buffer`` gets the content of ``array``, which may be written to at once; without a ``queue`` in the device's."""
+        """Enqueue a copy of ``array`` to ``buffer``; ``array`` may be written to at once. Without ``queue``: in the device's queue."""
         copying, self._copying = self._copying, []
         for event, locked in copying:
             if event.command_execution_status == cl.command_execution_status.COMPLETE:
                 self._give_back(locked)
             else:
-                self._copying.append((event, locked))  # dropping an event waits for its end
+                self._copying.append((event, locked))  # dropping an event would wait for its end
         locked = self._take(array.nbytes)
         np.copyto(locked[: array.nbytes].view(array.dtype).reshape(array.shape), array)
         where = self._queue if queue is None else queue
@@ -56,7 +56,7 @@ class Staging:
         where.flush()  # the device begins while the next array is brought into page-locked memory
 
     def array(self, shape: tuple[int, ...], dtype: np.dtype[Any]) -> NDArray[Any]:
-        """Page-locked memory for the caller: it serves again once the caller has dropped it and all its views."""
+        """Page-locked memory for the caller; it is reused once the caller has dropped it and all its views."""
         count = math.prod(shape)
         locked = self._take(dtype.itemsize * count)
         memory: Any = locked
@@ -84,7 +84,7 @@ _made: WeakKeyDictionary[cl.Context, Staging] = WeakKeyDictionary()
 
 
 def after(queue: cl.CommandQueue, other: cl.CommandQueue) -> None:
-    """Have all later commands of ``queue`` wait for those now in ``other``."""
+    """Let all later commands of ``queue`` wait for those now in ``other``."""
     cl.enqueue_barrier(queue, wait_for=[so_far(other)])
 
 
@@ -96,7 +96,7 @@ def so_far(queue: cl.CommandQueue) -> cl.Event:
 
 
 def staging(device: Device) -> Staging:
-    """That of this device; made once."""
+    """The staging memory of this device; made once."""
     if device.context not in _made:
         _made[device.context] = Staging(device)
     return _made[device.context]

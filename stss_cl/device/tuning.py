@@ -51,7 +51,7 @@ class Direct:
 
 @dataclass(frozen=True)
 class Local:
-    """conv_local.cl and conv_mma.cl: the most rows of pixels of a work-item, 1 or 2; whether half runs on matrix units where they are."""
+    """conv_local.cl and conv_mma.cl: most rows of pixels of a work-item, 1 or 2; whether half may run on matrix units."""
 
     rows: int
     matrix_units: bool = False
@@ -62,9 +62,9 @@ class Tuning:
     """One row of tile sizes.
 
     Attributes:
-        winograd: number of output channels, of ``OUTPUTS`` -> sizes; None where another convolution is faster.
+        winograd: number of output channels, of ``OUTPUTS`` -> sizes; None if another convolution is faster.
         direct: likewise, for the plain convolution.
-        local: None where work-items do not share local memory, or the direct convolution is faster.
+        local: None if work-items do not share local memory, or if the direct convolution is faster.
     """
 
     winograd: dict[int, Winograd] | None
@@ -195,7 +195,7 @@ def _built_in(maker: str, device_class: DeviceClass, target: str) -> Tuning:
 
 @lru_cache(64)
 def stored_row(name: str, driver: str, device_class: DeviceClass) -> Tuning | None:
-    """The row that was stored for a device; None: there is none."""
+    """The stored row for a device; None: there is none."""
     path = _path(name, driver, device_class)
     if not path.exists():
         return None
@@ -208,7 +208,7 @@ def stored_row(name: str, driver: str, device_class: DeviceClass) -> Tuning | No
 
 
 def _path(name: str, driver: str, device_class: DeviceClass) -> Path:
-    # A row found with other kernels may be the slower one with these.
+    # A row that was found with other kernels may be slower with these.
     what = [name, driver, device_class, *_kernels()]
     return private("tuning") / f"{hashlib.sha256(json.dumps(what).encode()).hexdigest()[:32]}.toml"
 

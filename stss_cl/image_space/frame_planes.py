@@ -16,23 +16,23 @@ from stss_ref.arrays import Array, ArrayError, require_dtype, require_shape
 Source = Array | cl.Buffer
 """A C-contiguous float32 array, or a buffer on the device that holds one."""
 MOST_STEPS = 5
-"""Most display frames that a colour frame may lie back (spec 1)."""
+"""Largest distance of a colour frame, in display frames back (spec 1)."""
 
 
 @dataclass(frozen=True)
 class Sources:
-    """The planes that stage ``frame`` reads, float32, of one size (H, W); the last ones may be left out if nothing reads them.
+    """The planes that stage ``frame`` reads, float32, of one size (H, W); the last ones may be left out if no kernel reads them.
 
     Attributes:
-        steps: how many display frames back the three colour frames lie, newest first.
+        steps: the distances of the three colour frames, in display frames back, newest first.
         colors: (H, W, 3) of each of them.
         motions: (H, W, 2) of the frame itself and of those before it, newest first: as many as the largest step.
         gbuffer: (H, W, 9).
         nov: (H, W).
         stencils: (H, W) of the frame itself and of the three colour frames.
-        normals: likewise (H, W, 3); from pixel to pixel ``normal_stride`` floats.
+        normals: likewise (H, W, 3); two pixels are ``normal_stride`` floats apart.
         positions: likewise (H, W, 3).
-        normal_stride: 3, or 9 where the normals are read from G-buffers.
+        normal_stride: 3, or 9 if the normals are read from G-buffers.
     """
 
     steps: tuple[int, int, int]
@@ -80,7 +80,7 @@ def upload(device: Device, name: str, source: Source, shape: tuple[int, ...]) ->
 def planes(
     device: Device, name: str, source: Source, count: int, shape: tuple[int, ...], *, stack: int | None
 ) -> tuple[cl.Buffer, ...]:
-    """The first ``count`` planes of a stack, each a buffer; the others are not brought to the device.
+    """The first ``count`` planes of a stack, each a buffer; the others are not uploaded.
 
     Args:
         device: to run on.

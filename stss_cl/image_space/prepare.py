@@ -28,12 +28,12 @@ FINITE = ("colors", "gbuffer", "nov", "stencils", "normals")
 
 MOTIONS = tuple(f"motion{i}" for i in range(MOST_STEPS))
 NOTHING = {"height": 0, "rows": 0, "down": 0}
-"""With these of its arguments a kernel has no pixel."""
+"""With these arguments a kernel has no pixel, and does no work."""
 
 
 @dataclass(frozen=True)
 class _Launches:
-    """Those of one frame.
+    """The launches of one frame.
 
     ``colors``: of the colour frames, newest first; ``search``: for the colours of holes; ``fill``: of the newest frame's holes.
     """
@@ -52,7 +52,7 @@ class PrepareOptions:
     Attributes:
         gather: how the motion chain reads between pixels.
         second, test, hole_fill: the network's second colour, the hole test and the fill of holes, see ``stss_ref.frame.prepare``.
-        frames: how many of the three colour frames are read, from the newest on: 1 or 3. With 1 ``inputs.earlier`` is not written.
+        frames: the number of colour frames that are read, from the newest on: 1 or 3. With 1 ``inputs.earlier`` is not written.
         history: whether ``inputs.earlier`` is read; if not, it is not written, and no older frame is searched for holes.
     """
 
@@ -77,8 +77,8 @@ class Prepare:
     Attributes:
         inputs: the network's inputs on the device; every frame writes to the same buffers.
         mask: (H, W) uint8, 1 = not a hole of the newest colour frame.
-        splat: (2, H, W) uint32, see kernels/frame.cl; places that holes look up are wanted: ``prepare_newest`` makes them so, and
-            ``fill_holes`` unmakes them.
+        splat: (2, H, W) uint32, see kernels/frame.cl; ``prepare_newest`` marks the places that holes look up as wanted, and
+            ``fill_holes`` resets them.
         dirty: a byte for each 4 x 4 pixels of ``inputs.input``: 0: the inputs there are those of the last frame, and no hole is filled.
     """
 
@@ -100,7 +100,7 @@ class Prepare:
         self._reshades = options.hole_fill == "reshade"
         rows, columns = ceil_div(height, 8) * 8, ceil_div(width, 8) * 8
         self.inputs = inputs_for(device, rows, columns, np.dtype(np.float32)) if inputs is None else inputs
-        self.rows, self.columns = self.inputs.input.height, columns  # of a strip, where the frame goes in strips
+        self.rows, self.columns = self.inputs.input.height, columns  # of a strip, if the frame is computed in strips
         self.mask = self._filled(height * width)
         self.dirty = self._filled(self.rows // 4 * (columns // 4), 1)
         self._motions = zeroed(device, 3 * height * width * 8)
@@ -118,7 +118,7 @@ class Prepare:
 
     @cached_property
     def _marking(self) -> _Launches:
-        """The launches that compute only dirty tiles, and mark those that then differ."""
+        """The launches that compute only dirty tiles, and mark those that changed."""
         return self._make(marks=True)
 
     def _make(self, *, marks: bool) -> _Launches:
@@ -173,7 +173,7 @@ class Prepare:
         )
 
     def load(self) -> None:
-        """Have the runtime load or compile all kernels."""
+        """Let the runtime load or compile all kernels."""
         for launches in (self._whole,) if self.inputs.changes is None else (self._whole, self._marking):
             for launch in (launches.chain, *launches.colors, *launches.search, launches.fill, launches.eighth):
                 launch.load(self.device.queue, **{name: none for name, none in NOTHING.items() if name in launch.arguments})
@@ -200,7 +200,7 @@ class Prepare:
         distances, size, device, frames = check_steps(steps), (self.height, self.width), self.device, self._frames
         surfaces = 4 if self._stores else 2
         if self._done is not None:
-            self._done.wait()  # until then the last frame's arrays are in use
+            self._done.wait()  # until then the previous frame's arrays are in use
         far = distances[frames - 1]
         sources = Sources(
             steps=distances,
@@ -220,7 +220,7 @@ class Prepare:
         Args:
             sources: the planes to read; kept until the next frame.
             looking: use change maps; False: everything is computed, and nothing is marked.
-            checks: have ``not_finite`` look for values that are not finite after all; normals are then three floats apart.
+            checks: let ``not_finite`` look for values that are not finite; normals are then three floats apart.
         """
         self._read, s, changes = sources, sources, self.inputs.changes
         self._launches = launches = self._marking if looking and changes is not None else self._whole
@@ -230,7 +230,7 @@ class Prepare:
         # A chain of one motion is that motion. With change maps it is written all the same: a later frame may read it.
         is_chain = changes is not None or self._frames > 1 or s.steps[0] > 1
         if any(steps.values()) and is_chain:
-            chain = (*s.motions, *MOST_STEPS * s.motions[-1:])  # the last stands for those that no step needs
+            chain = (*s.motions, *MOST_STEPS * s.motions[-1:])  # the last one takes the place of those that no step needs
             launches.chain.set(**dict(zip(MOTIONS, chain, strict=False)), **steps)
             launches.chain.enqueue(self.device.queue)
         motions = self._motions if is_chain or not s.steps[0] else s.motions[0]
@@ -261,7 +261,7 @@ class Prepare:
         launches.eighth.set(gbuffer=s.gbuffer)
 
     def not_finite(self) -> str | None:
-        """Name of an array of the frame begun last that must be finite and is not; None: all are. Waits for the queue."""
+        """Name of a non-finite array of the frame begun last, if it must be finite; None: all are finite. Waits for the queue."""
         bad = np.empty(len(FINITE), np.int32)
         cl.enqueue_copy(self.device.queue, bad, self._bad)
         if not bad.any():
@@ -283,7 +283,7 @@ class Prepare:
     def _warp(self, top: int, *, checks: bool, marks_wanted: bool) -> None:
         """Warp the colour frames that are read, and find their holes; for the newest, mark the places that holes look up.
 
-        ``checks``: look for what is not finite; ``marks_wanted``: False if the places were marked before.
+        ``checks``: look for values that are not finite; ``marks_wanted``: False if the places were marked before.
         """
         self._launches.colors[0].set(marks_wanted=marks_wanted)
         for launch in self._launches.colors:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """The image-space stages one by one, on arrays in the form of the port protocol (spec 11).
 
-Every result equals the reference's in float32 bit for bit, but that subnormal numbers are 0, if the device rounds divisions and square
+Every result equals the reference's in float32 bit for bit, except that subnormal numbers are 0, if the device rounds divisions and square
 roots correctly. Whole frames run the fused kernels of ``prepare`` instead.
 """
 
@@ -32,7 +32,7 @@ def hole_options(test: HoleTest) -> Mapping[str, object]:
 
 
 def program(device: Device, file: str, options: Mapping[str, object] | None = None) -> Program:
-    """The program of an image-space ``file``, with correctly rounded division and roots where the device has them."""
+    """The program of an image-space ``file``, with correctly rounded division and roots if the device has them."""
     return build(device, file, options, "-cl-fp32-correctly-rounded-divide-sqrt" if device.correctly_rounded_divide else "")
 
 
@@ -108,7 +108,7 @@ def _valid(stages: ImageStages, inputs: Inputs, size: tuple[int, int]) -> cl.Buf
 SURFACES = {
     "stencil_previous": 0, "stencil": 0, "normal_previous": 3, "normal": 3, "position_previous": 3, "position": 3,
 }  # fmt: skip
-"""Planes of two frames that say where they show the same surface, with their channels."""
+"""Planes of two frames that decide where both show the same surface, with their channels."""
 
 
 def _motion_chain(stages: ImageStages, inputs: Inputs) -> Outputs:
@@ -191,4 +191,4 @@ STAGES: dict[str, Callable[[ImageStages, Inputs], Outputs]] = {
     "reshade": _reshade,
     "rrm": _rrm,
 }
-"""The stages that ``ImageStages.run_stage`` knows."""
+"""The stages that ``ImageStages.run_stage`` runs."""

@@ -22,7 +22,7 @@ from stss_cl.network.tiles import Maps, Tiling, of_convolution
 
 @dataclass(frozen=True)
 class Final:
-    """The data with which the decoder's last layer writes the image itself (winograd_image.cl, conv_amx.cl with IMAGE).
+    """The data that the decoder's last layer needs to write the image itself (winograd_image.cl, conv_amx.cl with IMAGE).
 
     ``color`` is (rows, columns, 4); ``weight`` (24, 16) and ``bias`` (16) are outc's; ``height`` and ``width`` are the frame's before
     padding; ``changes`` is the change map of ``color``, if any.
@@ -53,7 +53,7 @@ class Final:
 
 @dataclass(frozen=True)
 class ConvSpec:
-    """A convolution, whatever it reads and writes.
+    """A convolution, without its inputs and outputs.
 
     Attributes:
         stage: the stage that it belongs to.
@@ -61,7 +61,7 @@ class ConvSpec:
         packed: its tensors.
         stride: 1 or 2.
         relu: whether ReLU follows.
-        side: side of Winograd's tiles, 4 or 2 at stride 1, 2 at stride 2; 0: the plain kernel, which also runs where no faster one does.
+        side: side of Winograd's tiles, 4 or 2 at stride 1, 2 at stride 2; 0: the plain kernel, which also runs if no faster one can.
     """
 
     stage: str
@@ -92,8 +92,8 @@ def conv(
         b: second input, if any.
         out: the output; its size is the input's divided by the stride.
         out_first: the first channel of it to write.
-        image: which of ``a``'s images; None: all of them in one launch, where work-groups share local memory, into the images of ``out``,
-            or, if it has one, into channels one behind the other.
+        image: the image of ``a`` to read; None: all of them in one launch, if work-groups share local memory, into the images of ``out``,
+            or, if it has one image, into channels one behind the other.
         final: write ``image`` instead of ``out``; the caller sets it before every run.
     """
     packed = spec.packed
@@ -119,7 +119,7 @@ def conv(
 
 
 def _from_image_to_image(a: Padded, out: Padded, packed: Packed, shape: Shape) -> dict[str, int]:
-    """How far it is from one image to the next: values of the input and of the output, pixels of the change map, rows of tiles."""
+    """The distance between two images: in values of the input and of the output, pixels of the change map, rows of tiles."""
     several = out.images > 1
     return {
         "a_next": a.rows * a.columns * a.channels,

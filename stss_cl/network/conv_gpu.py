@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Convolutions where work-items share local memory: conv_local.cl, and conv_mma.cl on matrix units."""
+"""Convolutions on devices whose work-items share local memory: conv_local.cl, and conv_mma.cl on matrix units."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from stss_cl.network.pack_weights import Packed, fragments
 from stss_cl.network.tiles import Tiling
 
 WIDE, TALL = 32, 4
-"""Pixels of a work-group's tile: along a row, and rows for each that a work-item has."""
+"""Pixels of a work-group's tile: along a row, and rows for each row of a work-item."""
 EIGHTS, MOST_OUTPUTS, EMULATED = (4, 3, 2, 7), 32, 3072
-"""Of conv_mma.cl: eights of input channels in local memory at once, the first that divides them and fits; outputs whose sums fit the
-registers; bytes of local memory that emulated products take."""
+"""For conv_mma.cl: eights of input channels in local memory at once (the first number that divides all and fits); outputs whose sums fit
+the registers; bytes of local memory for emulated products."""
 
 
 def local(device: Device, packed: Packed, out: Padded, stride: int, most_rows: int, images: int) -> Shape:

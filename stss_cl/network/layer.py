@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A layer: a launch that goes over a list of tiles, and can be made to go over another."""
+"""A layer: a launch over a list of tiles, which can be replaced."""
 
 from __future__ import annotations
 
@@ -40,14 +40,14 @@ class Work(NamedTuple):
 
 @dataclass(frozen=True)
 class Shape:
-    """The parts in which convolution kernels differ; their arguments are the same.
+    """The differences between convolution kernels; their arguments are the same.
 
     Attributes:
         file: the kernel's file; the kernel has the same name.
         options: build options, besides those of the layer.
         weight, gate: the tensors as the kernel reads them; gate None: there is none, or it is part of ``weight``.
         tiling: the tiles of the output.
-        bias: in place of the layer's own; None: that.
+        bias: in place of the layer's own bias; None: the layer's own.
         size, group: global size and work-group of the launch.
     """
 
@@ -106,7 +106,7 @@ def layer(
     Args:
         device: to run on.
         stage, name, source, reads: see ``LayerLaunch``.
-        arguments: those of the kernel but the list and, where it can mark, the output's map.
+        arguments: those of the kernel, without the list and, if it can mark, the output's map.
         work: its tiles and sizes.
         out: the activations that it writes and marks; None: it writes the image.
     """

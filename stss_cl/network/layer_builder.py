@@ -32,14 +32,14 @@ class LayerBuilder:
         precision: see ``stss_cl.options.PRECISIONS``.
         height, width: of the largest activations, multiples of 8.
         slots: the plan's buffers.
-        inputs: stand for the first of them.
+        inputs: the first of these buffers.
         keep: whether buffers have change maps.
 
     Attributes:
-        launches: in order; at first those of ``once``.
-        marked: the buffers with change maps but the inputs.
+        launches: in order, those of ``once`` first.
+        marked: the buffers with change maps, without the inputs.
         maps: their change maps; None: there are none.
-        results: the place of each launch's result: buffer, first channel, channels; None: it leaves none of a whole layer.
+        results: the place of each launch's result: buffer, first channel, channels; None: it leaves no whole layer's result.
     """
 
     def __init__(
@@ -72,10 +72,11 @@ class LayerBuilder:
         return self._held[slot]
 
     def conv(self, step: Conv, final: Final | None = None) -> None:
-        """Append a convolution; ``final``: it writes the image in place of its output."""
+        """Append a convolution; ``final``: it writes the image, not its output."""
         layer, a, out = step.layer, self[step.inputs[0][0]], self[step.out]
         b = self[step.inputs[1][0]] if len(step.inputs) > 1 else None
-        # At an eighth a tile of 4 x 4 would be 32 pixels of the frame, and rounding spreads by a tile a layer: decision 11.
+        # At an eighth of the size a tile of 4 x 4 would be 32 pixels of the frame, and rounding spreads by a tile in each layer: decision
+        # 11.
         side = 0 if not self._winograd else 2 if layer.divisor == 8 else 4
         packed = pack(self._weights, layer.name, tuple((real, slot.channels) for slot, real in step.inputs))
         spec = ConvSpec(layer.stage, layer.name, packed, layer.stride, layer.relu, side)
@@ -94,12 +95,12 @@ class LayerBuilder:
         reads: tuple[Padded, ...],
         out: Padded | None,
     ) -> LayerLaunch:
-        """Append any other kernel over tiles; the list of its tiles comes to ``arguments``.
+        """Append any other kernel over tiles; the list of its tiles is added to ``arguments``.
 
         Args:
             stage: of the layer, whose name is the kernel's.
             source: the kernel, without the options that all have.
-            arguments: its own, by name.
+            arguments: the kernel's, by name.
             tiling: the tiles of its output.
             workers: work-items that share a tile on a GPU.
             reads: the inputs that have change maps.

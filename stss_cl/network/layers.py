@@ -36,8 +36,8 @@ WINDOW = 5
 class Layers:
     """Every launch of the network at (height, width), in order, with the buffers between them.
 
-    A frame whose buffers would exceed the limit goes in strips: for each of ``strips``, ``place``, ``pack`` (or whatever else
-    fills ``inputs``), ``run``.
+    A frame whose buffers would exceed the limit is computed in strips: for each of ``strips``, ``place``, ``pack`` (or another way to fill
+    ``inputs``), ``run``.
 
     Args:
         device: to run on.
@@ -47,15 +47,15 @@ class Layers:
         precision: see ``stss_cl.options.PRECISIONS``.
         memory_limit: bytes that the buffers may take; None = half of the device's memory.
         keep: every layer keeps its output, with a change map, so that fewer tiles may be run (``stss_cl.skip.partial_network``);
-            without effect where the frame goes in strips.
-        every: every unit runs for each frame, whatever these weights read.
+            without effect if the frame is computed in strips.
+        every: every unit runs for each frame, even units that these weights do not need.
 
     Attributes:
         launches: in order, without layers that these weights do not need (``stss_cl.liveness.find_live``); the last one writes the image.
-        once: those whose result no frame changes; they have run.
+        once: launches whose result no frame changes; they have already run.
         inputs: the inputs of the first launches.
         features: the stages' outputs, by the names of ``stss_ref``.
-        strips: the strips in which the frame goes.
+        strips: the strips of the frame.
         keep: whether every layer's output is kept.
         reads_history: whether the launches read the history.
         colors_read, second_color, hole_test, hole_fill: of the weights, see ``stss_ref.weights``.
@@ -88,7 +88,7 @@ class Layers:
         live = find_live(weights)
         subset = Live(BY_NAME, (), weights) if every else live
         planned = partial(plan, subset.layers, subset.once, keep=keep, fused=winograd or precision == "bfloat16", local=local)
-        # The three images of the history in one launch, where that is known and their buffers have room.
+        # The three images of the history in one launch, if there is a kernel for that and their buffers have room.
         what = planned(together=local and not winograd and precision in ("float32", "half"))
         if bytes_for(rows, full, columns, dtype, keep=keep, what=what) > limit:
             what = planned(together=False)
@@ -103,7 +103,7 @@ class Layers:
         self.marked, self.maps = build.marked, build.maps
         self.features = {name: build[slot] for name, slot in what.features.items()}
         self.strips = strips(full, height, rows, overlap)
-        # Those that must know where a strip lies, with the divisor of their size.
+        # The launches that need the place of a strip, with the divisor of their size.
         self._placed: list[tuple[LayerLaunch, int]] = []
         for step in (*what.once, *what.steps):
             if isinstance(step, Conv):
@@ -122,18 +122,18 @@ class Layers:
         return self.launches
 
     def run(self, image: cl.Buffer) -> None:
-        """Enqueue the network; ``image`` is complete when the queue has run dry."""
+        """Enqueue the network; ``image`` is complete when the queue is empty."""
         enqueue(self.device, self.ready(image))
 
     def load(self) -> None:
-        """Have the runtime load or compile all kernels: over empty lists."""
+        """Let the runtime load or compile all kernels, by launches over empty lists."""
         none = zeroed(self.device, 4)
         for launch in self.launches:
             launch.load(self.device.queue, count=none)
 
     @cached_property
     def _packing(self) -> PackInputs:
-        """Built when it is first asked for: stage ``prepare`` fills ``inputs`` itself."""
+        """Built at its first use: stage ``prepare`` fills ``inputs`` without it."""
         return PackInputs(self.device, self.inputs, *self.size)
 
     def pack(self, color: cl.Buffer, gbuffer: cl.Buffer, mask: cl.Buffer, history: cl.Buffer | None) -> None:
@@ -154,7 +154,7 @@ class Layers:
         last.set(first_row=strip.first, height=strip.last, top=strip.top, tiles=tiles.tiles, count=tiles.count)
 
     def layers_of(self, stage: str, inputs: Mapping[str, Array]) -> dict[str, Array]:
-        """The result of each layer of a stage, or of all (``network``; docs/ports.md); the last one is fused where Winograd runs."""
+        """The result of each layer of a stage, or of all (``network``; docs/ports.md); the last one is fused if Winograd runs."""
         results: dict[str, list[Array]] = {}
 
         def see(launch: LayerLaunch, result: tuple[Padded, int, int] | None) -> None:
@@ -172,7 +172,7 @@ class Layers:
         return {name: arrays[0] if len(arrays) == 1 else np.stack(arrays) for name, arrays in results.items()}
 
     def run_stage(self, stage: str, inputs: Mapping[str, Array], see: See | None = None) -> dict[str, Array]:
-        """Run one stage alone, on arrays; H, W are multiples of 8 and the frame is one strip. ``see`` is told behind each launch."""
+        """Run one stage alone, on arrays; H, W are multiples of 8 and the frame is one strip. ``see`` is called after each launch."""
         height, width = self.size
         self.place(self.strips[0])
         color = inputs.get("color", np.zeros((height, width, 6), np.float32))
@@ -240,7 +240,7 @@ class Layers:
         self._placed.append((launch, step.source.divisor))
 
     def _image(self, what: Plan) -> None:
-        """The image: by the last convolution itself, or of its result; if outc is 0, of any finite activations."""
+        """The image: by the last convolution itself, or from its result; if outc is 0, from any finite activations."""
         outc, bias = pack_outc(self._needed.tensors)
         outc = amx_outc(outc) if what.fused and self.inputs.input.dtype == BFLOAT16 else outc
         weight, bias = constant(self.device, outc), constant(self.device, bias)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The network on an OpenCL device: order of launches, life of buffers."""
+"""The network on an OpenCL device: order of launches, lifetime of buffers."""
 
 from __future__ import annotations
 
@@ -150,6 +150,6 @@ class NetworkStages:
         if self._layers is None or self._layers.size != (height, width):
             self._layers = None  # frees the old buffers before new ones are made
             network = self._network
-            # A stage alone is computed whatever of it the others read.
+            # A single stage is computed whole, even parts that no other stage reads.
             self._layers = Layers(network.device, self._weights, height, width, network.precision, every=True)
         return self._layers

@@ -41,7 +41,7 @@ class PackInputs:
         self._eighth = Kernel(eighth, "downsample_8", small)
 
     def __call__(self, color: cl.Buffer, gbuffer: cl.Buffer, mask: cl.Buffer, history: cl.Buffer | None, top: int) -> None:
-        """Enqueue the copy; ``top`` is the row of the frame that is row 0 of ``inputs``. ``history``: None where nothing reads it."""
+        """Enqueue the copy; ``top`` is the row of the frame that is row 0 of ``inputs``. ``history``: None if no layer reads it."""
         to, queue = self._inputs, self._device.queue
         full, eighth = (to.input.width, to.input.height), (to.eighth.width, to.eighth.height)
         # A group that divides the width, a multiple of 8: a test in each work-item for the frame's end would cost a third of the time.

@@ -28,7 +28,7 @@ def winograd_matrix(side: int) -> NDArray[np.float64]:
 
 
 EVERY_SECOND = np.array([[1.0, 0, 0], [1, 0, 1], [0, 0, 1], [0, 1, 0], [0, 1, 0]])
-"""``G`` at stride 2, for tiles of 2: the outer taps by F(2, 2) on 0, 1 and infinity; the middle tap meets the inputs between."""
+"""``G`` at stride 2, for tiles of 2: the outer taps by F(2, 2) on 0, 1 and infinity; the middle tap is for the inputs between."""
 
 
 @dataclass(frozen=True)

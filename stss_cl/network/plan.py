@@ -12,11 +12,11 @@ from stss_cl.graph import UPSAMPLED, Attention, Convolution, Node, Upsampling, n
 from stss_ref.weights import ATTENTION, BY_NAME, LAYERS, SOURCES, Layer
 
 FEATURES = {"conv2": "x1", "down1.conv2": "x2", "down2.conv2": "x3", "down3.conv2": "x4", "reshaded": "reshaded"}
-"""Results that stay when the network has run, with the names of ``stss_ref``; ``reshaded`` has the history's feature behind it."""
+"""Results that stay after the network has run, by the names of ``stss_ref``; the history's feature lies behind ``reshaded``."""
 JOINED = ("reshaded", "lowlevelGated"), 3 * ("convHis3.4",)
-"""Results that lie side by side in one buffer; of the last one all three images."""
+"""Results that lie side by side in one buffer; all three images of the last one."""
 LAST = LAYERS[-2].name
-"""The last layer of 3 x 3, after which comes the image."""
+"""The last layer of 3 x 3, before the image."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Slot:
 class Conv:
     """A convolution of ``inputs`` side by side into the channels from ``first`` on of ``out``.
 
-    ``inputs``: slots, and how many channels of each are real. ``image``: which of the history's images is read; None: all of them in one
+    ``inputs``: slots, and the number of real channels in each. ``image``: the image of the history to read; None: all of them in one
     launch.
     """
 
@@ -54,7 +54,7 @@ class Upsample:
 
 @dataclass(frozen=True)
 class Attend:
-    """The attention; ``unit``: the keys divided by their lengths, where they are stored."""
+    """The attention; ``unit``: the keys divided by their lengths, if they are stored."""
 
     key: Slot
     value: Slot
@@ -74,7 +74,7 @@ class Plan:
         steps: of each frame.
         once: before the first frame.
         features: the slots of ``FEATURES``, by the names of ``stss_ref``.
-        last: the features of the image: the result of ``LAST``, or any finite activations where nothing reads it.
+        last: the features of the image: the result of ``LAST``, or any finite activations if no layer reads it.
         fused: whether ``last`` is the input of ``LAST`` instead, which makes the image itself.
     """
 
@@ -93,7 +93,7 @@ def plan(
 
     Args:
         layers, once: see ``stss_cl.liveness.Live``.
-        keep: every step has an output of its own.
+        keep: every step has its own output.
         fused: ``LAST`` makes the image itself.
         local: the attention is one kernel.
         together: the history's images are computed in one launch for each layer.
@@ -122,7 +122,7 @@ def _order(layers: Mapping[str, Layer], together: bool) -> Iterator[tuple[Node, 
 
 
 def _last_reads(order: Sequence[tuple[Node, int | None]]) -> list[set[str]]:
-    """For each node the names that nothing reads behind it, before they are computed anew."""
+    """For each node the names that no later node reads before they are computed again."""
     live: set[str] = set()
     last: list[set[str]] = []
     for node, _ in reversed(order):
@@ -156,9 +156,9 @@ class _Buffers:
 
     Args:
         layers: those that run.
-        stay: names of results whose slot is not taken anew behind them.
-        once: names of results whose slot no other has.
-        keep: no slot is taken anew.
+        stay: names of results whose slot is not reused afterwards.
+        once: names of results whose slot no other result shares.
+        keep: no slot is reused.
 
     Attributes:
         slots: all of them.
@@ -168,7 +168,7 @@ class _Buffers:
         self.slots: list[Slot] = []
         self._layers, self._stay, self._once, self._keep = layers, stay, once, keep
         self._free: list[Slot] = []
-        # Where results lie: a slot, and the first channel there.
+        # The place of each result: a slot, and the first channel there.
         self._results = {
             name: (self._new(*size), 0) for name, size in (("input", (1, 24)), ("history", (1, 4, 3)), ("gbuffer", (8, 16)))
         }
@@ -187,14 +187,14 @@ class _Buffers:
         return 0 if source is None else source.outputs * (source.repeats // repeats)
 
     def inputs(self, node: Convolution, images: int) -> tuple[tuple[Slot, int], ...]:
-        """The slots that a layer reads, and how many channels of each are real."""
+        """The slots that a layer reads, and the number of real channels in each."""
         inputs: dict[Slot, int] = {}
         for name in node.layer.reads:
             source = name if name in node.reads else node.name + UPSAMPLED
             inputs[self[source]] = inputs.get(self[source], 0) + self.channels(name, node.layer.repeats)
         if inputs:
             return tuple(inputs.items())
-        # A layer that reads nothing still needs a buffer, for kernels of 0: its values are finite.
+        # A layer without inputs still needs a buffer, for kernels of 0; its values are finite.
         unread = self.take(node.layer.divisor // node.layer.stride, 8, images)
         self.give_back(unread)
         return ((unread, 0),)
@@ -213,7 +213,7 @@ class _Buffers:
         return self._results[name]
 
     def free(self, names: Collection[str]) -> None:
-        """Give back the slots of results that nothing reads any more."""
+        """Free the slots of results that no later node reads."""
         joined = {each for names in JOINED for each in names}
         for name in sorted({*names} - {*self._stay, *self._once} - joined):
             self.give_back(self._results.pop(name)[0])
@@ -227,7 +227,7 @@ class _Buffers:
         return self._new(divisor, channels, images)
 
     def give_back(self, slot: Slot) -> None:
-        """Let others take the slot."""
+        """Free the slot for other results."""
         if not self._keep:
             self._free.append(slot)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Frames larger than the memory: strips that overlap as far as a pixel depends on others, with the bits of the whole frame."""
+"""Frames larger than the memory: strips that overlap by the reach of a pixel's dependence, with the bits of the whole frame."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from stss_cl.network.plan import Plan, plan
 from stss_ground.errors import DeviceError
 
 OVERLAP = {False: 128, True: 256}
-"""Rows on either side of a strip that are computed with it, without and with Winograd.
+"""Rows on either side that are computed with a strip, without and with Winograd.
 
 An image pixel depends on 106 low-resolution rows to either side: 1 for each convolution at full size, 2, 4 and 8 at the smaller ones, 16
 for the attention's window, 15 for the upsampling. With Winograd the *bits* of a pixel depend on its whole tile's input, so that each

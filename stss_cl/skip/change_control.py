@@ -11,9 +11,9 @@ from stss_cl.cost import Part
 MOST_CHANGED = 0.75
 """If a larger share of the network's inputs changed, the whole network is computed, since finding the unchanged rest would not pay."""
 PATIENCE, AGAIN, REST = 8, 4, 48
-"""After ``PATIENCE`` frames in a row, SF and EF alike, in which all was computed, changes are not looked for until the ``REST``-th:
-looking costs time, and a moving camera seldom stops. From then on ``AGAIN`` such frames in a row suffice. The first of either kind is
-computed whole to make up for the changes that were not looked for."""
+"""After ``PATIENCE`` frames in a row, SF and EF alike, in which all was computed, the stream does not look for changes until the
+``REST``-th: looking costs time, and a moving camera seldom stops. From then on ``AGAIN`` such frames in a row suffice. The first SF and
+the first EF after the pause are computed whole, since their changes are unknown."""
 
 
 class ChangeControl:
@@ -27,7 +27,7 @@ class ChangeControl:
         self.frames_unlooked = self._frames_all_changed = 0
 
     def begin(self) -> bool:
-        """Begin the next frame; returns whether to look where it changed."""
+        """Begin the next frame; returns whether to look for its changes."""
         self.frames_unlooked = max(0, self.frames_unlooked - 1)
         return not self.frames_unlooked
 
@@ -36,7 +36,7 @@ class ChangeControl:
         return "whole" if changed > MOST_CHANGED else "changed"
 
     def learn(self, network: Part) -> None:
-        """Learn from the run, if changes were looked for: in vain if all was computed."""
+        """Learn from the run, if the stream looked for changes: in vain if all was computed."""
         if self.frames_unlooked:
             return
         self._frames_all_changed = self._frames_all_changed + 1 if network == "whole" else 0

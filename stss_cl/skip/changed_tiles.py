@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Layers that compute only the tiles reached by changes of their inputs (kernels/tile_list.cl, change_map.clh)."""
+"""Layers that compute only the tiles that changes of their inputs reach (kernels/tile_list.cl, change_map.clh)."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class ChangedTiles:
         self.layers = [layer.over(device, to) for layer, to in zip(layers, lists, strict=True)]
 
     def load(self) -> None:
-        """Have the runtime load or compile all kernels: over empty lists, and no mark."""
+        """Let the runtime load or compile all kernels, by launches over empty lists and without marks."""
         self._maps.clear()
         self._counts.clear()
         for launch in (*self.layers, *self._finders):

@@ -27,7 +27,7 @@ from stss_ref.constants import Gather
 class Last:
     """The last frame of a kind: its number, the numbers of the oldest frame and of the colours that it read, and ``valid``.
 
-    None: it was not asked for on the host.
+    None: ``valid`` was not needed on the host.
     """
 
     number: int
@@ -59,7 +59,7 @@ class FrameCache:
         Args:
             sources: the frame's.
             dirty: where the inputs may differ from those of the last frame of the kind; None: everywhere.
-            looking: whether to mark the tiles in which they then differ.
+            looking: whether to mark the tiles in which they differ.
 
         Returns:
             The share that changed, of `Cost`.
@@ -71,10 +71,10 @@ class FrameCache:
         if self._is_first or not looking:
             return 1.0
         share = 1.0 if dirty is None else float(dirty.mean())
-        return share if share <= MOST_CHANGED else self._changed()  # for fewer, the host need not wait
+        return share if share <= MOST_CHANGED else self._changed()  # for a small share the host need not wait
 
     def load(self) -> None:
-        """Have the runtime load or compile all kernels that any frame needs."""
+        """Let the runtime load or compile all kernels that any frame needs."""
         self.prepare.load()
         self.network.load()
 
@@ -86,7 +86,7 @@ class FrameCache:
             self.network.run(self.image.target(whole=True))
 
     def _mark(self, dirty: Tiles | None) -> None:
-        """Mark where the inputs are to be computed: where they are ``dirty``, or everywhere for None."""
+        """Mark the tiles of the inputs to compute: the ``dirty`` ones, or all for None."""
         tiles = _spread(dirty, (self.prepare.rows, self.prepare.columns))
         if self._device.is_cpu:
             cl.enqueue_copy(self._device.queue, self.prepare.dirty, tiles, is_blocking=True)
@@ -108,7 +108,7 @@ class FrameCache:
 def _spread(changed: Tiles | None, size: tuple[int, int]) -> NDArray[np.uint8]:
     """The map of tiles to compute for a padded ``size``: changes spread since a pixel reads its right and lower neighbours.
 
-    Its footprint is of the left and upper ones, too, but where neither it nor anything it reads has changed, it has no offset to judge.
+    Its footprint depends on the left and upper ones, too; but if neither the pixel nor anything it reads has changed, its offset is 0.
     """
     rows, columns = (length // 4 for length in size)
     if changed is None:

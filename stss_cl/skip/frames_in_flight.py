@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Frames that were begun and are not yet finished, and how a sequence of them is computed one ahead."""
+"""Frames that were begun and are not yet finished, and a sequence of frames computed one ahead."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class FrameInFlight:
 
     Attributes:
         image, valid: see ``stss_cl.skip.stream.Stream.__call__``; not complete before ``finish``.
-        coming: the transfers that they wait for; finish them before they are dropped, or the drop waits, with all threads of Python.
+        coming: the transfers that they wait for; finish them before they are dropped: a drop would wait, and block all threads of Python.
         cost: the cost of the frame.
     """
 
@@ -40,7 +40,7 @@ class FrameInFlight:
 def one_ahead(
     calls: Iterable[Call], begin: Callable[..., FrameInFlight], finish: Callable[[FrameInFlight], tuple[Any, Any]]
 ) -> Iterator[tuple[Any, Any]]:
-    """Begin each call before the one before it is finished and handed out.
+    """Begin each call before the previous one is finished and returned.
 
     An error of a call, or of getting it, is raised when its turn comes. No frame is left unfinished when this ends, raises
     or is closed.
@@ -56,7 +56,7 @@ def one_ahead(
                 fault = error
             if waiting is not None:
                 yield finish(waiting)
-            waiting, newest = newest, None  # nor is the image before held while the next frame begins
+            waiting, newest = newest, None  # do not hold the previous image while the next frame begins
             if fault is not None:
                 raise fault
             if waiting is None:

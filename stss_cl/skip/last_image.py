@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The last image of a kind, which callers may view and which is overwritten once no caller holds it."""
+"""The last image of SF or of EF, which callers may view and which is overwritten once no caller holds it."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class LastImage:
         cl.enqueue_copy(self._device.queue, to, self._image.data, byte_count=array.nbytes, dst_offset=array.offset)
 
     def target(self, *, whole: bool) -> cl.Buffer:
-        """The buffer for the next image: the last one, or a new one if a caller holds the last; then with its content unless ``whole``."""
+        """The buffer for the next image: the last one, or a new one if a caller holds the last; with the old content unless ``whole``."""
         last = self._image
         if last is None or self._lent() is not None:
             self._image, self._loan = Outgoing(self._device, self._shape, on_device=False), None

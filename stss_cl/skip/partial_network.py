@@ -20,7 +20,7 @@ class PartialNetwork:
         self._changed = ChangedTiles(layers.device, layers.launches, layers.maps)
 
     def load(self) -> None:
-        """Have the runtime load or compile all kernels."""
+        """Let the runtime load or compile all kernels."""
         self.layers.load()
         self._changed.load()
 
@@ -29,7 +29,7 @@ class PartialNetwork:
         self.layers.run(image)
 
     def run_changed(self, image: cl.Buffer) -> None:
-        """Enqueue the tiles that the marks in the change maps of ``inputs`` reach; the rest of ``image``, the last one made, stays.
+        """Enqueue the tiles that the marks in the change maps of ``inputs`` reach; the rest of ``image``, which is the last image, stays.
 
         The code that fills the network's inputs must mark the tiles that differ since the last ``run`` or ``run_changed``, and clear
         the marks after this one. The image has the same bits as one of ``run``.
@@ -39,7 +39,7 @@ class PartialNetwork:
     def activity(self) -> NDArray[np.float32]:
         """The share of the stored activations that the last ``run_changed`` changed, for each 4 x 4 pixels of the largest ones.
 
-        Waits for the queue. A pixel of smaller activations counts for all that it covers.
+        Waits for the queue. A pixel of smaller activations counts for all pixels that it covers.
         """
         layers = self.layers
         height, width = layers.inputs.input.height, layers.inputs.input.width

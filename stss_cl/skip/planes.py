@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Bring the planes of display frames to the device, while it computes the frames before them."""
+"""Upload the planes of display frames, while the device computes earlier frames."""
 
 from __future__ import annotations
 
@@ -29,31 +29,31 @@ GROUP = 64
 
 
 class Planes:
-    """Brings planes to the device. Planes of half are widened there: behind this, all are float32.
+    """Uploads planes. Planes of half are widened on the device, so afterwards all are float32.
 
-    On a processor arrays of float32 are read in place. Otherwise arriving planes have their own queue, so that a frame's planes may arrive
-    while the frame before it is computed. They go to memory that only planes have, which may have been that of a plane dropped before.
-    Hence the rule: arriving planes wait for the launches before the last drop of planes (``dropped``).
+    On a processor arrays of float32 are read in place. Otherwise uploads have their own queue, so that a frame's planes are
+    uploaded while the previous frame is computed. They go to memory that only planes use, and that a dropped plane may have used before.
+    So uploads wait for the launches before the last drop of planes (``dropped``).
 
     Attributes:
-        queue: of arriving planes, and of the kernels that look at them.
+        queue: for uploads, and for the kernels that check the planes.
     """
 
     def __init__(self, device: Device):
         self._device = device
         self.queue = device.queue if device.is_cpu else staging(device).uploads
-        # The allocator touches new memory in its queue: in that of the launches perhaps after the plane has arrived.
+        # The allocator touches new memory in its queue; in the queue of launches that might be after the plane's upload.
         self._pool = MemoryPool(ImmediateAllocator(self.queue))
         self._readers: cl.Event | None = None
         self._some_arrive = False
 
     def dropped(self) -> None:
-        """Note that planes were dropped: their memory may serve again, once the launches until now have read them."""
+        """Note that planes were dropped: their memory may be reused once the launches so far have read them."""
         if not self._device.is_cpu:
             self._readers = so_far(self._device.queue)
 
     def bring(self, arrays: Mapping[str, tuple[Plain, tuple[int, ...]]]) -> dict[str, cl.Buffer]:
-        """Enqueue bringing the planes of a frame, by name with their shapes: they are copied, or stay where they lie.
+        """Enqueue the upload of a frame's planes, by name with their shapes; they are copied, or stay in place.
 
         Raises:
             ArrayError: a shape, dtype or context differs.
@@ -64,11 +64,13 @@ class Planes:
             self._readers = None
         buffers = {name: self._buffer(name, array, shape) for name, (array, shape) in arrays.items()}
         if not self._device.is_cpu and any(isinstance(array, cla.Array) for array, _ in arrays.values()):
-            after(self.queue, self._device.queue)  # there the caller, and ``on_device``, may have enqueued what makes them
+            after(
+                self.queue, self._device.queue
+            )  # there the caller, and ``on_device``, may have enqueued the commands that make them
         return {n: self._widened(buffers[n], math.prod(shape)) if _is_half(x) else buffers[n] for n, (x, shape) in arrays.items()}
 
     def arrived(self) -> None:
-        """Have launches from now on wait for the planes that were brought."""
+        """Let later launches wait for these uploads."""
         if self._some_arrive and not self._device.is_cpu:
             after(self._device.queue, self.queue)
         self._some_arrive = False
@@ -98,7 +100,7 @@ class Planes:
 
     @cached_property
     def _widen(self) -> Kernel:
-        """Built when a plane of half comes."""
+        """Built for the first plane of half."""
         return Kernel(build(self._device, "widen.cl"), "widen")
 
 

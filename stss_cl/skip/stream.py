@@ -182,7 +182,7 @@ class Stream:
         self._arriving(size).load()
         if None in [self._keep(size, extrapolates=kind) for kind in (False, True)]:
             self._whole.expect(size)
-        self.device.queue.finish()  # runtimes compile behind it
+        self.device.queue.finish()  # some runtimes compile only when the queue runs
 
     def activity(self) -> NDArray[np.float32]:
         """The share of the network that the last frame needed, for each 4 x 4 of its pixels: from 0, nothing, to 1, everything.
@@ -279,9 +279,9 @@ class Stream:
     def _dirty(
         self, uploaded: UploadedFrames, cache: FrameCache, frames: list[UploadedFrame], steps: tuple[int, ...]
     ) -> Tiles | None:
-        """Where the network's inputs may differ from those of the last frame of the kind; None: everywhere.
+        """The tiles in which the network's inputs may differ from those of the last SF or EF; None: everywhere.
 
-        They are equal where nothing moves and the surface is the same in all frames that either reads, and the colours are the same.
+        They are equal where nothing moves, and surface and colours are the same in all frames that the two read.
         """
         last = cache.last
         if last is None or _missing(steps) != _missing(last.steps):

@@ -21,8 +21,8 @@ from stss_cl.skip.planes import Planes
 from stss_ref.arrays import require_finite
 
 HELD = 9
-"""Number of display frames that are remembered: an output's window, the window of the output before it of the same kind, and one more.
-Of frames older than the window only the places where they differ are remembered: the caller may reuse their arrays."""
+"""Number of remembered display frames: an output's window, the window of the previous output of the same kind, and one more. For frames
+older than the window only their changes are remembered, since the caller may reuse their arrays."""
 
 
 @dataclass
@@ -34,8 +34,8 @@ class UploadedFrame:
         number: counts the frames in order of arrival; only for comparisons.
         planes: the buffers by name; empty once it is older than the window.
         color: its colour, if it has one; None once it is older than the window.
-        changed: where it differs from the frame before it, or moves; None: there is no frame before it, or they were not compared.
-        recolored: where its colour differs from the last one before it, nowhere if it has no colour; None: likewise.
+        changed: where it differs from the previous frame, or moves; None: there is no previous frame, or they were not compared.
+        recolored: where its colour differs from the previous colour, nowhere if it has no colour; None: likewise.
     """
 
     frame: DisplayFrame | None
@@ -46,12 +46,12 @@ class UploadedFrame:
     recolored: Tiles | None = None
 
     def let_go(self) -> None:
-        """Drop its arrays: the caller may write to them again. ``Planes`` must hear of it."""
+        """Drop its arrays: the caller may write to them again. Call ``Planes.dropped`` afterwards."""
         self.frame, self.planes, self.color = None, {}, None
 
 
 class UploadedFrames:
-    """The last frames of one size (height, width) that arrived, consecutive display frames."""
+    """The last display frames of one size (height, width), in a row."""
 
     def __init__(self, device: Device, height: int, width: int):
         self._device, self.size = device, (height, width)
@@ -62,20 +62,20 @@ class UploadedFrames:
         self._count = 0
 
     def load(self) -> None:
-        """Have the runtime load or compile the kernel that looks at frames."""
+        """Let the runtime load or compile the kernel that compares frames."""
         self._arrival.load()
 
     def take(self, window: Sequence[DisplayFrame], *, compare: bool) -> list[UploadedFrame]:
         """Upload the frames of ``window``, consecutive and oldest first; frames of the last window are not uploaded or compared again.
 
-        Frames are compared when they arrive, and only with frames of the same window: the caller may have written to older arrays.
+        Frames are compared when they are uploaded, and only with frames of the same window: the caller may have written to older arrays.
 
         Args:
             window: its last frame is the one to compute.
             compare: whether to find where new frames differ from those before them.
 
         Raises:
-            ArrayError: a shape or dtype is not a frame's, or a value that must be finite is not.
+            ArrayError: a shape or dtype does not fit, or a value that must be finite is not.
         """
         first = next((i for i, each in enumerate(self._chain) if each.frame is window[0]), len(self._chain))
         uploads = list(self._chain)[first : first + len(window)]
@@ -94,7 +94,7 @@ class UploadedFrames:
         return uploads
 
     def require_finite(self) -> None:
-        """Make sure that all frames of the last window were finite for which ``take`` did not wait; waits for them.
+        """Wait for the checks for which ``take`` did not wait: all frames of the last window must be finite.
 
         Raises:
             ArrayError: one was not. All frames are forgotten.
@@ -103,7 +103,7 @@ class UploadedFrames:
             self._refuse(bad)
 
     def _refuse(self, bad: str, *arriving: DisplayFrame) -> None:
-        """Forget all frames, and name the frame whose plane ``bad`` is not finite: perhaps an earlier one, which was not waited for."""
+        """Forget all frames, and name the frame whose plane ``bad`` is not finite: perhaps an earlier one, whose check is still open."""
         frames = [each.frame for each in self._chain if each.frame is not None]
         self.forget()
         for frame in (*frames, *arriving):
@@ -161,7 +161,7 @@ class UploadedFrames:
 
 
 def refuse(name: str, frame: DisplayFrame) -> None:
-    """Tell where the plane ``name`` of a frame is not finite, if it is not."""
+    """Raise ArrayError with the place at which the plane ``name`` of a frame is not finite, if it is not."""
     array = getattr(frame, name)
     if array is not None:
         require_finite(name, array.get() if isinstance(array, cla.Array) else array)

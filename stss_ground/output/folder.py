@@ -35,7 +35,7 @@ _LINE = re.compile(r"([0-9a-f]{64})  (.+)")
 
 
 def move_aside(path: Path) -> None:
-    """Give a file or folder that is in the way, and somebody else's, another name, and say so."""
+    """Rename a file or folder of another program that is in the way, and say so."""
     aside = next(place for n in count(1) if not os.path.lexists(place := path.with_name(f"{path.name}.{n}.aside")))
     path.rename(aside)
     echo(f"{path}: not as {SUMS} says, so another program wrote it: moved to {aside.name}", err=True)
@@ -63,29 +63,29 @@ def sums_below(folder: Path) -> bytes:
 class OutputFolder:
     """A folder whose files a later process can recognise as written by stss, and as complete.
 
-    A file's checksum is on the disk before the file is renamed into place. So a file that the list does not name, or whose checksum is
-    another one, was written by somebody else, however the process ended. It is never replaced or removed, but moved aside.
+    A file's checksum is on the disk before the file is renamed into place. So a file that the list does not name, or that has another
+    checksum, comes from another program, even if a process was killed. It is never replaced or removed, but moved aside.
 
     Attributes:
         path: the folder.
     """
 
     def __init__(self, path: Path, subfolders: Sequence[str], name: str):
-        """Describe the folder; the disk is not looked at yet.
+        """Describe the folder; the disk is not read yet.
 
         Args:
             path: the folder.
-            subfolders: where its files lie, below it; "" is the folder itself.
+            subfolders: the folders of its files, below it; "" is the folder itself.
             name: a pattern that the names of all its files match.
         """
         self.path, self._subfolders, self._name = path, tuple(subfolders), re.compile(name)
         self._sums: dict[str, list[str]] = {}
-        """Name -> the checksums that the list has for it, the last one last: a killed process may have left the file before."""
+        """Name -> its checksums in the list, the newest last: a killed process may have left the older file."""
         self._written: set[str] = set()
         self._log: BinaryIO | None = None
 
     def present(self) -> list[Path]:
-        """The files that are there under names of this folder's files, and the list of checksums."""
+        """The existing files with names of this folder's files, and the list of checksums."""
         paths = [path for path in self._listed() if self._name.fullmatch(path.name)]
         return [path for path in (*paths, self.path / SUMS) if os.path.lexists(path)]
 
@@ -94,7 +94,7 @@ class OutputFolder:
         """Hold the folder's lock and make the folder if need be. No finished file is removed.
 
         Args:
-            refusal: the message where an earlier process finished files; None: take the folder as it is.
+            refusal: the message if an earlier process finished files; None: take the folder as it is.
 
         Raises:
             InputError: another process has the lock, the folder can't be written to, or it holds files that it may not.
@@ -133,7 +133,7 @@ class OutputFolder:
         self._written.add(name)
 
     def keep(self, name: str) -> None:
-        """Count a file that is there as written by this process."""
+        """Count an existing file as written by this process."""
         self._written.add(name)
 
     def sums(self) -> dict[str, str]:
@@ -145,7 +145,7 @@ class OutputFolder:
         return name in self._sums and self._digest(name) == self._sums[name][-1]
 
     def owns(self, path: Path) -> bool:
-        """Whether ``path`` is the place of a file that may be written here, or that knows about the folder."""
+        """Whether ``path`` is the place of a file that may be written here, or of the folder's list or lock."""
         if path.name in (SUMS, LOCK) or UNFINISHED.fullmatch(path.name):
             return same_place(path.parent, self.path)
         return self._name.fullmatch(path.name) is not None and any(same_place(path.parent, folder) for folder in self.folders())
@@ -173,7 +173,7 @@ class OutputFolder:
             sync_folder(folder)
 
     def dissolve(self, elsewhere: Mapping[str, str]) -> None:
-        """Remove each file that another folder has alike, then the list and the folders; other files stay.
+        """Remove each file of which another folder has an equal copy, then the list and the folders; other files stay.
 
         Args:
             elsewhere: name -> SHA-256 of the other folder's files.

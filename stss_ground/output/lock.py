@@ -25,7 +25,7 @@ LOCK = ".stss-lock"
 _NO_LOCKS = {errno.ENOSYS, errno.ENOTSUP, errno.ENOLCK, errno.EINVAL}
 """Errors of a file system that has no locks."""
 _SIGNED = re.compile(rb"(process )?\d+\s|\Z")
-"""How the file begins: signed by us, or by ``SoftFileLock``; or it is empty, since a process was killed before it signed."""
+"""The beginning of the file: a signature of ours, or of ``SoftFileLock``; or it is empty, since a process was killed before it signed."""
 _MOST_BYTES = 1024
 
 
@@ -33,8 +33,8 @@ _MOST_BYTES = 1024
 def locked(folder: Path) -> Generator[None, None, None]:
     """Lock ``folder`` against other processes that write to it.
 
-    The system releases the lock when the process ends, however it ends. A file system without locks (some network file systems) has
-    the file alone as the lock: after a kill on another machine it must be removed by hand, and the message says so.
+    The system releases the lock when the process ends, however it ends. On a file system without locks (some network file systems) only
+    the file is the lock: after a kill on another machine it must be removed by hand, and the message says so.
 
     Args:
         folder: exists.
@@ -64,7 +64,7 @@ def _take(path: Path) -> BaseFileLock:
     try:
         try:
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # that there are no locks is not the user's concern, until a file is left behind
+                warnings.simplefilter("ignore")  # missing locks do not concern the user, until a file is left behind
                 lock.acquire(blocking=False)
         except (OSError, NotImplementedError) as error:
             if isinstance(error, Timeout) or (isinstance(error, OSError) and error.errno not in _NO_LOCKS):

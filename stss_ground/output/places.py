@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Refuse, before the work, to write to a file that is read or that somebody else wrote, whatever link leads there."""
+"""Refuse, before the work, to write to a file that is read or that another program wrote, even through a link."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ def require_places(
     the file system takes both).
 
     Args:
-        files: option -> the file that the user named; None: not asked for.
+        files: option -> the file that the user named; None: not given.
         reads: files that are read; None and files that do not exist are ignored.
         folders: the folders of many files that are written.
         new_folders: folders that the command makes: a named file may lie in one.
-        inputs: files that are read, beside which no folder's files may lie: the same command would take them for inputs next time.
+        inputs: files that are read; no folder may put its files beside them, since the next call would take those for inputs.
 
     Raises:
         InputError: a file that is written is one that is read, or the list or the lock of their folder; a named file is a folder, lies in

@@ -66,7 +66,7 @@ def remove_unfinished(folder: Path) -> None:
 
 
 def encoded(text: str) -> bytes:
-    """Text as UTF-8, whatever a stranger's program put into it: half of a surrogate pair becomes its escape."""
+    """Text as UTF-8, even text of a stranger's program: half of a surrogate pair becomes its escape."""
     return text.encode(errors="backslashreplace")
 
 
@@ -97,11 +97,11 @@ def same_place(one: Path, other: Path) -> bool:
 
 
 def keys_of(path: Path) -> list[object]:
-    """Values of which two paths of one file or folder share at least one."""
+    """Values for a path; two paths of one file or folder share at least one."""
     real = Path(os.path.normcase(os.path.realpath(path)))
     if number := _number(path):
         return [real, number]
-    # Not there yet: a file system that ignores case, or how an accent is written, would make one file of two such names.
+    # Not there yet: a file system that ignores case, or the form of accents, would make one file of two such names.
     name = unicodedata.normalize("NFC", unicodedata.normalize("NFC", real.name).casefold())
     return [real, (_number(real.parent) or real.parent, name)]
 
@@ -120,7 +120,7 @@ def _write_beside(path: Path, data: bytes) -> None:
     try:
         with temporary.open("xb") as file:
             if path.is_file() and not path.is_symlink() and hasattr(os, "fchmod"):
-                os.fchmod(file.fileno(), stat.S_IMODE(path.stat().st_mode))  # a file that only its owner may read stays one
+                os.fchmod(file.fileno(), stat.S_IMODE(path.stat().st_mode))  # a file that only its owner may read stays private
             file.write(data)
             file.flush()
             sync(file.fileno())
@@ -140,7 +140,7 @@ def sync(handle: int) -> None:
 
 
 def sync_folder(path: Path) -> None:
-    """Wait until the names in a folder are on the disk, where the system has that: only then may a file's other copy go."""
+    """Wait until the names in a folder are on the disk, if the system supports that: only then may another copy of a file be removed."""
     if os.name == "posix" and path.is_dir():
         handle = os.open(path, os.O_RDONLY)
         try:

@@ -67,7 +67,7 @@ def page(title: str, html: str, *, styles: Sequence[str] = (), scripts: Sequence
 
 
 def table(caption: str, headings: Sequence[str], rows: Sequence[Sequence[str]], *, means: int = 0, words: int = 1) -> str:
-    """Make a table that scrolls by itself where the page is narrower.
+    """Make a table that scrolls separately if the page is narrower.
 
     Args:
         caption: text above the table.
