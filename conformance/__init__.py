@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""The judge of ports: it knows the reference, `stss_ref`, and no port."""
+"""The judge of ports: it imports the reference, `stss_ref`, and no port."""

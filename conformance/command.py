@@ -27,13 +27,13 @@ from stss_ground.version import VERSION
 MAX_REPEAT = 1000
 MOST_PIXELS = 3840 * 2160
 LEAST_SIDE = 2048
-"""Rows and columns that every port takes: textures have had them for long, and only made cases have more."""
+"""Rows and columns that every port must accept: textures have had this size for long, and only made cases have more."""
 MOST_SIDE = 2**17
 OF_STAGES = (
     *("stages", "size", "largest_side", "weights_version", "require", "repeat", "fail_fast", "known_failures", "write_cases"),
 )
 OF_MODELS = ("shapes", "files")
-"""Parameters that say something of a port of ours alone, and of any network's alone."""
+"""Parameters that hold only for a port of our network, and those only for a port of any network."""
 
 
 @click.command(cls=Subcommand)
@@ -196,7 +196,7 @@ class PortChoice:
         return load_port(self.spec, self.program, self.timeout, self.dtype, self.winograd, self.weights_version, stages)
 
     def command(self, onnx: Path | None = None) -> str:
-        """The command that judges it, without ``--replay``."""
+        """The command that judges this port, without ``--replay``."""
         words = [
             "stss",
             "conform",
@@ -268,7 +268,7 @@ def _judge_model(
 
 
 def _require_options(when: str, names: tuple[str, ...]) -> None:
-    """Raise InputError if an option of these was given, which would do nothing."""
+    """Raise InputError if one of these options was given, since it would have no effect."""
     context = click.get_current_context()
     for name in names:
         if context.get_parameter_source(name) is ParameterSource.COMMANDLINE:
@@ -285,7 +285,7 @@ def _require_stages(named: dict[str, tuple[str, ...] | None]) -> None:
 
 
 def _require_folder(failures: Path) -> None:
-    """Raise InputError if ``failures`` cannot be a folder: before minutes of work, not after."""
+    """Raise InputError if ``failures`` cannot be a folder; called before minutes of work."""
     if failures.exists() and not failures.is_dir():
         raise InputError(f"{failures}: expected a folder, found a file")
 

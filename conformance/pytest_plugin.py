@@ -72,14 +72,14 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(trylast=True)
 def pytest_sessionfinish(session: pytest.Session) -> None:
-    """A run in which nothing was held against a bound, or whose failures could not be kept, does not pass."""
+    """A run that compared nothing with a bound, or whose failures could not be kept, does not pass."""
     plugin: Any = session.config.pluginmanager.get_plugin(NAME)
     if plugin is not None and session.exitstatus == pytest.ExitCode.OK and _amiss(plugin):
         session.exitstatus = pytest.ExitCode.TESTS_FAILED
 
 
 def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
-    """Say so."""
+    """Print these messages."""
     plugin: Any = config.pluginmanager.get_plugin(NAME)
     for line in _amiss(plugin) if plugin is not None else ():
         terminalreporter.write_line(line)

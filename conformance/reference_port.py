@@ -79,7 +79,7 @@ def answer_job(job: Path, port: Any, *, dump: bool = False, weights: WeightsFile
     """
     weights = weights or WeightsFiles()
     try:
-        # A job may have any numbers: if they overflow, that is the answer and needs no warning.
+        # A job may have any numbers: if they overflow, the overflow is the answer, and needs no warning.
         with np.errstate(all="ignore"):
             for case in case_folders(job):
                 _run_case(case, port, weights, dump=dump)

@@ -40,10 +40,10 @@ def expect(
         inputs: float64, of numbers that the port's arithmetic holds.
         weights: the port's weights.
         arithmetic: the port's arithmetic.
-        got: the port's answer, since one output may depend on the port's own choice in another.
+        got: the port's answer, since the right value of one output may depend on the port's choice in another.
 
     Returns:
-        Output -> right answers; empty where rounding decides on the whole answer, so that it cannot be judged.
+        Output -> right answers; empty if rounding decides on the whole answer, which cannot be judged then.
     """
     if stage in IMAGE_SPACE:
         return IMAGE_SPACE[stage](inputs, arithmetic)

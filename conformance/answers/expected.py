@@ -47,14 +47,14 @@ class Expected:
         return reduce(np.minimum, (self._against(got, want) for want in (self.want, *self.others)))
 
     def together(self, got: NDArray[Any]) -> float:
-        """Root mean square of all errors, over its limit."""
+        """Root mean square of all errors, divided by its limit."""
         if np.isinf(self.rms) or got.shape != self.want.shape:
             return 0.0
         with np.errstate(over="ignore", invalid="ignore"):
             return worst(np.sqrt(np.mean((got.astype(np.float64) - self.want) ** 2)), np.asarray(self.rms))
 
     def closer(self, got: NDArray[Any]) -> Expected:
-        """The same, with the limit of the root mean square for each number if it is only by that that ``got`` is wrong."""
+        """The same, with the limit of the root mean square for each number, if ``got`` only exceeds that limit."""
         return replace(self, allowed=self.rms) if largest(self, got) <= 1 < self.together(got) else self
 
     def _against(self, got: NDArray[Any], want: NDArray[Any]) -> Float64:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Stage ``frame`` up to the network: rounding may turn its decisions, and moves its second colour."""
+"""Stage ``frame`` up to the network: rounding may change its decisions, and changes its second colour."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from stss_ref.sample import taps
 from stss_ref.weights import Weights
 
 WarpedFrame = tuple[NDArray[Any], Reach, NDArray[Any], NDArray[np.bool_]]
-"""A colour frame that is warped, for detail: its colour (H, W, 3), where its motion leads, its stencil, and where it counts, (H, W)."""
+"""A warped colour frame, for detail: its colour (H, W, 3), the places of its motion, its stencil, and (H, W) where it counts."""
 
 
 def expect_frame(inputs: dict[str, NDArray[Any]], weights: Weights, arithmetic: Arithmetic) -> dict[str, Expected]:
     """The right image; empty if a decision before the network (motion, holes, splat) is within rounding of its threshold.
 
-    Each may change the whole image, so a frame that has one is not judged.
+    Each such decision may change the whole image, so the frame is not judged then.
 
     Args:
         inputs: of stage ``frame``, float64.
@@ -76,14 +76,14 @@ def expect_frame(inputs: dict[str, NDArray[Any]], weights: Weights, arithmetic: 
     prepared = network_inputs(inputs, weights)
     first, is_detailed = prepared["color"][..., :3], weights.second_color == "detail"
     errors = detail_errors(first, inputs["stencils"][0], frames, arithmetic) if is_detailed else (0.0, 0.0)
-    # The second colour is less the first one's luma, and has a part of it.
+    # The second colour is a difference from the first one's luma, and contains a part of it.
     rounded, moved = (np.broadcast_to(error, first.shape) for error in errors)
     rounded = np.concatenate([0 * first + filled, rounded + (filled if is_detailed else 0)], axis=-1)
     return expect_with_weights("network", prepared, weights, arithmetic, (rounded, np.concatenate([0 * moved, moved], axis=-1)))
 
 
 def detail_errors(first: NDArray[Any], stencil: NDArray[Any], frames: Sequence[WarpedFrame], arithmetic: Arithmetic) -> Errors:
-    """The most by which a port's second colour ``detail`` is off: docs/conformance.md, Second colour.
+    """The largest error of a port's second colour ``detail``: docs/conformance.md, Second colour.
 
     Args:
         first: (H, W, 3) the first colour.
@@ -94,7 +94,7 @@ def detail_errors(first: NDArray[Any], stencil: NDArray[Any], frames: Sequence[W
     own = luma(first)
     most, least, peak = own, own, luma(np.abs(first))
     total = np.full((2, 2, *own.shape), OWN)
-    change = np.zeros((2, *total.shape))  # of the weights: by the port's own rounding, and by that of its motion
+    change = np.zeros((2, *total.shape))  # errors of the weights: by the port's own rounding, and by that of its motion
     for color, at, numbers, counts in frames:
         cell = taps(at.at)
         light, bright = luma(color), luma(np.abs(color))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Stage holes: each comparison is surely true, surely false, or within rounding of its threshold."""
+"""Stage holes: each comparison is certainly true, certainly false, or within rounding of its threshold."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ SMALL = 2.0**-62
 
 @dataclass(frozen=True)
 class Maybe:
-    """A condition: where it surely holds, and where it may hold."""
+    """A condition: where it certainly holds, and where it may hold."""
 
     sure: Bool
     possible: Bool
@@ -78,7 +78,7 @@ def _exceeds(value: Float64, off: Float64, threshold: Float64 | float) -> Maybe:
 
 
 def _is_zero(stencil: Float64, s: Float64, s_off: Float64, at: Reach) -> Maybe:
-    """Where the warped stencil is 0; surely where it is 0 at every pixel that counts."""
+    """Where the warped stencil is 0; certainly where it is 0 at every pixel that counts."""
     own, around = peaks(stencil[..., None], at)
     peak = np.where(at.unsure, around[0][..., 0], own[..., 0])
     return Maybe(peak == 0, np.abs(s) <= s_off)
@@ -90,7 +90,8 @@ def _beyond_footprint(inputs: dict[str, NDArray[Any]], at: Reach, arithmetic: Ar
     cell = taps(at.at)
     distance = _length(between(offsets(previous, position, cell), cell))
     own, around = peaks(previous, at, position)
-    # Within its own four pixels a place slips along a slope of at most twice their peak, beyond them along that of those around.
+    # Within its own four pixels an error of the place moves the value along a slope of at most twice their peak; beyond them, along the
+    # slope of the pixels around.
     peak, contrast = np.where(at.unsure[..., None], around, (own, 2 * own))
     wrong = BOUNDS["offset"].roundings * unit * peak + np.minimum(at.slip, 1)[..., None] * contrast
     least = np.where(peak.max(axis=-1) > 0, SMALL, 0)

@@ -18,7 +18,7 @@ from stss_ref.sample import Place
 MOST_ANSWERS = 32
 """A pixel with more right answers than this is not judged."""
 SMALL = 2.0**-62
-"""Pixels. Float32 may lose the squares of shorter motions, so that these may count as still, as subnormal ones may."""
+"""Pixels. Float32 may lose the squares of shorter motions, so that these may count as still, like subnormal ones."""
 FLOAT32_MAX = float(np.finfo(np.float32).max)
 
 
@@ -114,7 +114,7 @@ def _trunc(whole: int, fraction: float) -> int:
 
 
 def _longest(earlier: NDArray[Any], row: int, column: int, arithmetic: Arithmetic) -> list[NDArray[np.float64]]:
-    """Those of the four motions at a corner that may count as the longest."""
+    """The motions, of the four at a corner, that may count as the longest."""
     height, width, _ = earlier.shape
     places = [(row + j, column + i) for j in (0, 1) for i in (0, 1)]
     four = np.array([earlier[p] if 0 <= p[0] < height and 0 <= p[1] < width else (0.0, 0.0) for p in places])

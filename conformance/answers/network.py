@@ -26,21 +26,21 @@ from conformance.tolerance import BOUNDS, UNIT
 from stss_ref.weights import Tensors, Weights, astype
 
 Errors = tuple[NDArray[Any] | float, NDArray[Any] | float]
-"""(H, W, 6) the most by which a port's colours are off: by their own rounding, and by that of the motion that they are read by."""
+"""(H, W, 6) the largest errors of a port's colours: by their own rounding, and by that of the motion that reads them."""
 OPEN = 100.0
 """A gate's bias at which its sigmoid is 1."""
 TAIL = 4.0
-"""The largest of many normal deviations, in rms. Where gates nearly close, a few deviations are larger, and then these count."""
+"""The largest of many normal deviations, in rms. If gates nearly close, a few deviations are larger; then these count."""
 SAMPLE = 96
-"""Rows and columns that give a larger frame's bounds: its numbers are of one kind everywhere, so their mean square is one."""
+"""Rows and columns that give a larger frame's bounds: its numbers have the same distribution everywhere, so one mean square holds."""
 SPARSE = {"erm": 3}
-"""Times as many for a stage all of whose numbers are at 1/8 size, with windows of which many would be cut."""
+"""Factor of that number for a stage with all numbers at 1/8 size, since many of its windows would be cut."""
 RUNS = 3
 """Runs with changed weights; every number of every output is a sample."""
 MOST_SETS = 8
 """Sets of weights whose changed forms are kept: cases share them."""
 _made: dict[tuple[int, Arithmetic], tuple[Weights, tuple[Weights, list[Weights], Weights]]] = {}
-"""By the identity of a set, which is held, so that no other takes its place."""
+"""By the identity of a set, which is kept alive, so that no other set gets its address."""
 
 
 def expect_with_weights(
@@ -78,7 +78,7 @@ def part_of(stage: str, inputs: dict[str, NDArray[Any]]) -> dict[str, NDArray[An
 
 
 def _at_most(side: int, length: int, other: int) -> int:
-    """Rows of a part of a frame, or columns: more than ``side`` where there are fewer of the others."""
+    """Rows, or columns, of a part of a frame: more than ``side`` if the other axis has fewer."""
     return min(length, side * side // min(side, other) // 8 * 8)
 
 
@@ -90,9 +90,9 @@ def _spread(
     part: dict[str, NDArray[Any]] | None = None,
     errors: Errors = (0.0, 0.0),
 ) -> dict[str, Expected]:
-    """The outputs of ``compute``, and how far changes of the size of rounding move them: of the weights, and of the colours.
+    """The outputs of ``compute``, and their changes by changes of weights and colours of the size of rounding.
 
-    ``part`` is the part of a large frame by which its bounds are found.
+    ``part`` is the part of a large frame that gives its bounds.
     """
     exact, changed, open_ = _variants(weights, arithmetic)
     truth, part = compute(inputs, exact), inputs if part is None else part
@@ -128,7 +128,7 @@ def _off(inputs: dict[str, NDArray[Any]], error: NDArray[Any] | float, random: n
 
 
 def layer_change(terms: int, arithmetic: Arithmetic) -> float:
-    """Largest relative change of a layer's weights that stands for its rounding: gamma_n, and the rounding of stored activations.
+    """Largest relative change of a layer's weights in place of its rounding: gamma_n, and the rounding of stored activations.
 
     Args:
         terms: number of products in one sum.
@@ -168,7 +168,7 @@ def _changes(weights: Weights, arithmetic: Arithmetic) -> Tensors:
 
 
 def _changed(weights: Weights, changes: Tensors, random: np.random.Generator) -> Weights:
-    """Drawn by name, so that the same weights have the same bounds in whatever order their tensors come."""
+    """Drawn by name, so that the same weights have the same bounds for any order of their tensors."""
     arrays = {
         name: weights[name] + changes[name] * (2 * random.random(weights[name].shape, np.float32) - 1) for name in sorted(weights)
     }

@@ -71,7 +71,7 @@ def _cells(reached: Reach, y: int, x: int) -> tuple[set[int], set[int]]:
 
 
 def _splats(at: Reach, depth: NDArray[Any]) -> tuple[dict[Cell, Key], dict[Cell, list[Key]]]:
-    """For each pixel of the earlier frame: the nearest pixel that surely writes there, and all pixels that may write there."""
+    """For each pixel of the earlier frame: the nearest pixel that certainly writes there, and all pixels that may write there."""
     height, width = depth.shape
     definite: dict[Cell, Key] = defaultdict(lambda: NOBODY)
     maybe: dict[Cell, list[Key]] = defaultdict(list)

@@ -51,7 +51,7 @@ class Arithmetic:
 
     @property
     def spacing(self) -> float:
-        """Distance between the smallest numbers, which is the most that storing a small number may lose."""
+        """Distance between the smallest numbers, the largest loss of storing a small number."""
         return LIMITS[self.dtype][2]
 
     def flushed(self, x: NDArray[Any]) -> Float64:
@@ -98,7 +98,7 @@ class Reach:
 
     @property
     def unsure(self) -> Bool:
-        """Where a port may read another cell of pixels than the place's own; rounding the fraction alone leads to no other."""
+        """Where a port may read another cell of pixels than the place's own; rounding only the fraction changes no cell."""
         return _near_whole(self.at.fx, self.off_x) | _near_whole(self.at.fy, self.off_y)
 
     @property

@@ -21,9 +21,9 @@ Pixels = tuple[Index, Index]
 def expect_reshade(
     inputs: dict[str, NDArray[Any]], arithmetic: Arithmetic, off: Float64 | float = 0.0
 ) -> tuple[dict[str, Expected], Bool]:
-    """The float64 reference's colours, and where a comparison that decides is within rounding of its threshold, (H, W).
+    """The float64 reference's colours, and (H, W) where a deciding comparison is within rounding of its threshold.
 
-    There any mean of the two pictures is right.
+    There any mean of the two colours is right.
 
     Args:
         inputs: of the stage, float64.
@@ -63,7 +63,7 @@ def _pixels(where: Bool) -> Pixels:
 def _own(
     inputs: dict[str, NDArray[Any]], color: NDArray[Any], holes: Pixels, at: Reach, arithmetic: Arithmetic
 ) -> tuple[Bool, Bool, Float64]:
-    """Of each hole, (N,): whether it has samples of its own, whether a comparison may turn, and the largest colour among those."""
+    """For each hole, (N,): whether it has samples of its own, whether a comparison may change, and the largest colour among the samples."""
     has, unsure, peak = np.zeros(len(holes[0]), bool), at.unsure[holes], np.zeros(len(holes[0]))
     for there, *sample in four_samples(inputs["motion"], *holes):
         row, column = sample
@@ -90,7 +90,7 @@ def _shows(inputs: dict[str, NDArray[Any]], sample: Pixels, pixel: Pixels, arith
         limit, limit_off, large = (plane[pixel] for plane in reach_of_footprints(inputs["position"], FOOTPRINTS, unit))
         off = BOUNDS["length"].roundings * unit * distance + np.where(distance > 0, SMALL, 0)
         large |= np.isfinite(distance) & (distance > 1 / SMALL)
-        # A value that is not finite is near nothing: infinity less infinity compares as false.
+        # A value that is not finite is near no other: infinity minus infinity compares as false.
         near = Maybe((distance + off <= np.maximum(limit - limit_off, 0)) & ~large, (distance - off <= limit + limit_off) | large)
     surface = none | (alike & (Maybe(stencil != 0, stencil != 0) | near))
     same = inputs["stencil_previous"][sample] == stencil

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Many sums together: whether their rounding errors have both signs equally often, or mostly one."""
+"""Many sums together: whether their rounding errors have both signs equally often, or mostly one sign."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Right answers in a few windows of a frame whose whole would take minutes in float64.
+"""Right answers in a few windows of a large frame, which as a whole would take minutes in float64.
 
 Windows lie around a corner that tiles of 64, 128, 256 and 512 have in common, and at both ends and the middle of the last rows.
 """
@@ -123,7 +123,7 @@ def _cut(stage: str, inputs: Inputs, around: tuple[slice, slice]) -> Inputs:
 
 
 def _place(spec: ArraySpec, window: tuple[slice, slice], origin: tuple[slice, slice] | None = None) -> tuple[slice, ...]:
-    """Where an array has this window, in a part of the frame that begins at ``origin``."""
+    """The place of this window in an array of a part of the frame that begins at ``origin``."""
     first = {"H": 0, "W": 0} if origin is None else {"H": origin[0].start, "W": origin[1].start}
     slices: list[slice] = []
     for dim in spec.dims:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Calls whose inputs differ in little: a port that keeps results by a part of its inputs takes one call's for another's.
+"""Calls with small differences in their inputs: a port that keeps results by a part of its inputs returns those of another call.
 
 Of one array one pixel differs, in the middle, so that first and last rows and borders are the same; or two pixels are exchanged, so that
 the sum is the same. Of an array of several frames, each frame's pixel differs in its turn. Of all arrays the upper half and the lower one
@@ -36,7 +36,7 @@ HEAD_ON: Place = (3, 11)
 DEEP: Place = (9, 11)
 """Of a static surface far away, where that test allows more."""
 BELOW: Place = (13, 12)
-"""Another one of the moving surface."""
+"""Another pixel of the moving surface."""
 AT: dict[str, tuple[Place, Place]] = {
     "normal": (MOVING, BELOW), "warped": (BELOW, (14, 12)), "stencil": (STATIC, MOVING), "valid": (STATIC, BELOW),
     "nov": (STATIC, HEAD_ON), "depth": (HEAD_ON, DEEP),
@@ -73,7 +73,7 @@ def _calls(stage: str, rng: Generator) -> list[Call]:
 
 
 def _others(stage: str, name: str, array: NDArray[Any]) -> Iterator[tuple[str, NDArray[Any]]]:
-    """Arrays that share all but a little with this one, and words on the difference."""
+    """Arrays that differ from this one in a small part, and words on the difference."""
     if name in FLAGS:
         yield "another", np.asarray(FLAGS[name](array), array.dtype)
         return
@@ -129,7 +129,7 @@ def _other_weights(stage: str, weights: Weights) -> Iterator[tuple[str, Weights]
 
 
 def _moved(count: int) -> NDArray[np.float64]:
-    """(count, H, W, 2) motion to the right: of whole pixels, so that every pixel in the frame's middle is read by another."""
+    """(count, H, W, 2) motion to the right, by whole pixels, so that another pixel reads every pixel in the frame's middle."""
     motion = np.zeros((count, SIDE, SIDE, 2))
     motion[..., 0] = 1 + (np.arange(SIDE) < 5)[:, None]
     motion[(slice(None), *OTHER)] = 2, 3

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Every constant of the specification, with a case in which it shows: without it, or with another value, the answer is far off.
+"""Every constant of the specification, with a case that shows it: without it, or with another value, the answer is clearly wrong.
 
 Drawn cases hardly ever show a constant: that takes sums of weights about 1e-6, lengths about 1e-5, or distances just below a limit.
 """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Inputs of engines that no strategy draws: motion of -0, stencils beyond 8 and 16 bits, more motions than the steps need, lost values."""
+"""Inputs of engines that no strategy draws: motion of -0, stencils beyond 8 and 16 bits, surplus motions, lost values."""
 
 from __future__ import annotations
 

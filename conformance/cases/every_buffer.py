@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Stage frame where every buffer of every frame decides about pixels of its own, for each choice of steps.
+"""Stage frame in which every buffer of every frame decides about some pixels alone, for each choice of steps.
 
 Drawn cases may have buffers that are alike, or steps for which a mistake gives the right answer: then only some seeds show it.
 """
@@ -17,7 +17,7 @@ from stss_ref.weights import SECOND_COLORS, SecondColor, Weights
 
 STEPS = ((0, 2, 4), (1, 3, 5), (1, 3, 3), (1, 1, 1), (2, 3, 5))
 MOVES = (1.25, 0), (0.25, 2), (2, 0.5), (0.5, -3.25), (-5, 0.25)
-"""Pixels from each display frame to the one before it: from one frame on, every sum of them is another."""
+"""Pixels from each display frame to the previous one; all sums of them from one frame on differ."""
 BLOCK = 8
 SIZE = 3 * BLOCK, 4 * BLOCK
 FAR = 256.0

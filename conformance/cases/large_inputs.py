@@ -20,7 +20,7 @@ from stss_ref.constants import HOLE_FILLS, HoleFill
 from stss_ref.weights import SECOND_COLORS, SecondColor, Weights
 
 IMAGE_SIZES: tuple[Size, ...] = ((2, 4500), (301, 3), (540, 960), (129, 66), (65, 129), (65_601, 1), (1, 65_601), (1080, 1920))
-"""(H, W) for the image stages. The third is a frame as people have them; then more columns or rows than 16 bits count."""
+"""(H, W) for the image stages. The third is a usual frame; then more columns or rows than 16 bits count."""
 NETWORK_SIZES: tuple[Size, ...] = ((8, 2080), (2080, 8), (136, 144), (8, 528), (264, 8), (528, 64), (264, 272))
 """(H, W) for stages of the network: at 1/8 they have up to 260 rows or columns. The third has more than two tiles of 64 both ways, the
 last more than 65,536 pixels."""
@@ -32,14 +32,15 @@ ways."""
 ANY_SIZES: tuple[Size, ...] = ((7, 1_040), (1_040, 5), (67, 131), (515, 13), (257, 259))
 """(H, W) for stages network and frame, which pad them."""
 USER_SIZES: dict[str, Size] = {"quick": (720, 1280), "full": (1080, 1920)}
-"""(H, W) as users have them. At 720 x 1280 a feature of 24 channels has more numbers than float32 counts, and beside another more bytes
+"""(H, W) of users' frames. At 720 x 1280 a feature of 24 channels has more numbers than float32 counts, and beside another more bytes
 than 128 MiB. At 1080 x 1920 there are more pixels than 20 bits count, and more than 65,535 groups of 64 numbers."""
 IN_FULL = ("history", "encoder", "erm", "decoder")
 """Stages that only the full tier judges at such a size."""
 FEW = 4
 """Large frames of a quick tier."""
 MOST_HOLES = 8_000
-"""About the most holes of a frame for stage reshade that is judged as a whole: the reference looks at 289 pixels around each."""
+"""About the largest number of holes in a frame for stage reshade that is judged as a whole: the reference looks at 289 pixels around
+each."""
 SHORT = 8
 """Longest motion of frames that are judged in windows; pixels."""
 MakeCase = Callable[[Generator], Any]

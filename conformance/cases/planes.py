@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Hypothesis strategies for frames, motion and masks.
 
-Numbers that Hypothesis draws are simple and hardly ever round, so most arrays are filled from a drawn seed. A drawn kind steers them
-to where ports go wrong.
+Numbers that Hypothesis draws are simple and hardly ever round, so most arrays are filled from a drawn seed. A drawn kind steers them to
+the inputs at which ports go wrong.
 """
 
 from __future__ import annotations

@@ -21,9 +21,9 @@ Inputs = dict[str, NDArray[Any]]
 PAPER = st.sampled_from([0, 0, 0, 1, -1, 2, 255]).map(lambda paper: np.array([paper], np.int32))
 """Stage holes' input that asks for the paper's test: any number but 0 does."""
 CHANNELS = 1, 2, 3, 4, 5, 8, 17, 33
-"""Of what is warped: beyond a texture's four, and beyond the sizes that a port may have reserved."""
+"""Channels of the warped array: beyond a texture's four, and beyond the sizes that a port may have reserved."""
 STEPS = 1, 2, 3, 4, 5, 9, 17
-"""Of a chain: the pipeline has up to five, the stage any."""
+"""Motions of a chain: the pipeline has up to five, the stage any number."""
 WEIGHT_KINDS = ("random", "sparse", "large", "small keys", "faint keys")
 
 

@@ -11,11 +11,11 @@ from conformance.judging.judge import Body, Judge
 
 UNSTABLE = "differs from run to run"
 AGAIN = 3
-"""Times that a case has to fail after others, each time, before it is said to depend on them: a race does not."""
+"""Runs in which a case must fail after others, each time, before the message says that it depends on them; a race does not."""
 ALONE = 20
 """Times that a case is run alone if nothing makes it fail every time."""
 MOST_SECONDS = 60.0
-"""Most time for these."""
+"""Most time for these runs."""
 
 
 def confirm(judge: Judge, body: Body, small: Failure, first: Failure) -> Failure:
@@ -25,7 +25,7 @@ def confirm(judge: Judge, body: Body, small: Failure, first: Failure) -> Failure
         judge: has the port.
         body: the property.
         small: the failure in its smallest form.
-        first: as it failed first, with the cases before it.
+        first: the first failure, with the cases before it.
 
     Returns:
         The smallest case if that fails alone. Otherwise the first case that failed, with as few of the cases before it as it needs.
@@ -48,7 +48,7 @@ def confirm(judge: Judge, body: Body, small: Failure, first: Failure) -> Failure
 
 
 def _counted(judge: Judge, body: Body, failure: Failure) -> Failure:
-    """Run a case alone many times, and say how often it fails."""
+    """Run a case alone many times, and count its failures."""
     end = monotonic() + MOST_SECONDS
     times = times_wrong = 0
     latest = failure

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Compare a wrong answer with known mistakes: which of them, planted in the reference, gives the same numbers on the same input."""
+"""Compare a wrong answer with known mistakes: find the one that gives the same numbers if it is planted in the reference."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ MOST_SECONDS = 20.0
 """Most computing time of one diagnosis; seconds."""
 MOST_NAMED = 2
 RARE = frozenset((*EVERYWHERE, *PRECISION))
-"""Tried if nothing else explains the numbers."""
+"""Mistakes to try if no other explains the numbers."""
 INSIDE = ("history", "encoder", "erm", "decoder")
 CONTAINS = {"network": INSIDE, "frame": ("motion_chain", "warp", "holes", "occlusion_warp", "reshade", "network", *INSIDE)}
 ALIKE = 0.99
@@ -33,7 +33,7 @@ ALIKE = 0.99
 NEARER = 0.5
 """Distance of the port's number from the mistake's, at most; as a part of its distance from the truth."""
 AS_NEAR = 2.0
-"""A mistake that is further off than the nearest one by more than this factor is not named beside it."""
+"""A mistake that is farther from the numbers than the nearest one by more than this factor is not named."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ def diagnose(judge: Judge, findings: Iterable[Finding]) -> str:
         findings: failures of one property: the first, the smallest, and others.
 
     Returns:
-        ``looks like: ...``, the nearest first; or that no known mistake gives these numbers. "" where there is nothing to compare: the
+        ``looks like: ...``, the nearest first; or that no known mistake gives these numbers. "" if there is nothing to compare: the
         port gave no answer, or its answer is right by itself and only two of its answers together are wrong.
     """
     different = {id(finding.case.inputs): finding for finding in findings}.values()
@@ -79,7 +79,7 @@ def diagnose(judge: Judge, findings: Iterable[Finding]) -> str:
 
 
 def _again(judge: Judge, finding: Finding) -> _Answered | None:
-    """A failure, asked again; None if no answer of it is wrong by itself."""
+    """A failure, computed again; None if no answer of it is wrong by itself."""
     case = finding.case
     if finding.expected is None:
         return None
@@ -96,7 +96,7 @@ def _answered(judge: Judge, case: Case, got: Outputs) -> _Answered:
 
 
 def suspects(stage: str) -> tuple[Mistake, ...]:
-    """Mistakes that large frames show, first, since there all take long; then the stage's own, those of shared code, those of precision."""
+    """The mistakes in order: first those that large frames show, then the stage's own, those of shared code, of precision."""
     parts = (stage, *CONTAINS.get(stage, ()))
     inside = [mistake for part in parts for mistake in of_stage(part)]
     mistakes = dict.fromkeys([*of_stage(stage), *of_stage(stage, shared=True), *inside])
@@ -121,7 +121,7 @@ def _distance(mistake: Mistake, answered: _Answered) -> float:
     try:
         answer = planted_port(mistake).run(case.stage, case.inputs, case.weights)
     except Exception:
-        # Planted code on a stranger's case: what it cannot compute, it does not explain.
+        # Planted code on a stranger's case: if it cannot compute the case, it does not explain it.
         return np.inf
     distances = [0.0]
     for name, expected in answered.right.items():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The explanation of a failure, beyond its numbers; the failure stays whole, whatever fails meanwhile."""
+"""The explanation of a failure, beyond its numbers; an error of the explanation does not change the failure."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ T = TypeVar("T")
 
 
 def explain(judge: Judge, body: Body) -> Failure:
-    """Confirm the failure of the test that ran last; add whether it comes back, where it begins, and what it looks like.
+    """Confirm the failure of the test that ran last; add whether it repeats, the layer where it begins, and a known mistake like it.
 
     The test's record does not count the cases that the port computes for this.
 
@@ -29,7 +29,7 @@ def explain(judge: Judge, body: Body) -> Failure:
     failed: list[str] = []
 
     def tried(part: Callable[[], T], instead: T) -> T:
-        # Ports raise anything, and so do mistakes on unforeseen cases: a failure is told with or without its explanation.
+        # Ports, and mistakes on unforeseen cases, raise any error: a failure is reported with or without its explanation.
         try:
             return part()
         except Exception as error:
@@ -41,7 +41,7 @@ def explain(judge: Judge, body: Body) -> Failure:
     judge.record = Record()
     failure = tried(lambda: confirm(judge, body, smallest, first), smallest)
     words = [met.about]
-    # An answer that does not come back alone cannot be asked for again.
+    # An answer that a case alone does not repeat cannot be computed again.
     if not failure.before and UNSTABLE not in failure.finding.message:
         words += [
             tried(lambda: first_departure(judge, failure.finding), ""),

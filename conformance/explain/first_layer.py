@@ -14,11 +14,11 @@ from conformance.protocol.port import Outputs, PortError
 from stss_ref.arrays import ArrayError
 
 ASKED_FOR = ("network", "frame")
-"""Stages of many layers: a port that hands over none is told that it could."""
+"""Stages of many layers: if the port returns none, the message suggests it."""
 
 
 def first_departure(judge: Judge, finding: Finding) -> str:
-    """Words on the first layer that departs; empty where the stage has none, or the port hands over none."""
+    """Words on the first layer that departs; empty if the stage has none, or the port returns none."""
     case = finding.case
     specs = LAYERS_OF.get(case.stage, {})
     if not specs or case.weights is None or finding.expected is None:
@@ -39,7 +39,7 @@ def first_departure(judge: Judge, finding: Finding) -> str:
 
 
 def _handed_over(judge: Judge, finding: Finding) -> Outputs:
-    """By name; nothing of a port that cannot."""
+    """The port's layers by name; empty if it has no such method."""
     case, ask = finding.case, judge.abilities.layers
     if ask is None or case.weights is None:
         return {}
@@ -50,6 +50,6 @@ def _handed_over(judge: Judge, finding: Finding) -> Outputs:
     except (ArrayError, PortError):
         raise
     except Exception as error:
-        # A port is a stranger.
+        # A port is foreign code.
         raise PortError(f"{type(error).__name__}: {error}") from error
     return got

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Compare a port's tensors with the model's, each from the port's own tensors before it: so an error is found where it is made."""
+"""Compare a port's tensors with the model's, each from the port's own tensors before it: so an error is found at its node."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from conformance.tolerance import BOUNDS, worst
 
 Arrays = Mapping[str, AnyArray]
 RUNS = 3
-"""Runs with random changes, where a tensor is made of several that the port did not hand over."""
+"""Runs with random changes, for a tensor that depends on tensors that the port did not return."""
 TAIL = 4.0
 """The largest of many normal deviations, in rms; where a few are larger, these count."""
 
@@ -27,12 +27,12 @@ class Judgement:
     Attributes:
         tensor: its name.
         node: the node that computes it.
-        operands: the node's inputs: the port's own where it handed them over.
+        operands: the node's inputs: the port's own if it returned them.
         got: the port's numbers.
-        right: the right ones, with the most by which the port's may be off.
+        right: the right numbers, with the largest allowed errors.
         ratio: largest error / bound.
         rms: the root mean square of the errors over that of the bounds.
-        is_own: whether the port handed over all that the node reads: the error is then the node's alone.
+        is_own: whether the port returned all inputs of the node: the error is then only the node's.
     """
 
     tensor: str
@@ -64,9 +64,9 @@ class SizeError(ShapeError):
 def judge(model: Model, inputs: Arrays, got: Arrays, rounding: Rounding, runs: int = RUNS) -> list[Judgement]:
     """Judge every tensor of ``got``, in the order of the model.
 
-    A tensor whose node reads only what the port handed over is held to the rounding of that node. Any other is held to ``spread`` times
-    the root mean square by which it moves when each node between is changed at random by as much as its rounding may change it: an
-    estimate, which grows with depth as rounding does, and no proof.
+    A tensor whose node reads only returned tensors is judged by the rounding of that node. The bound of any other is ``spread`` times
+    the root mean square of its change if each node between is changed at random by as much as rounding: an estimate, which grows with
+    depth as rounding does, and no proof.
 
     Raises:
         SizeError: a node cannot take its inputs.
@@ -89,7 +89,7 @@ def judge(model: Model, inputs: Arrays, got: Arrays, rounding: Rounding, runs: i
                 run |= {name: _change(each, random) for name, each in zip(node.outputs, changed, strict=False)}
         for name, right in zip(node.outputs, results, strict=False):
             values[name] = right.x
-            # Integers are sizes and places, constants are the model's: a wrong one shows in the results.
+            # Integers are sizes and places, constants are the model's: a wrong one changes the results.
             computes = right.x.dtype.kind == "f" and right.x.size and node.op != "Constant"
             if name in got and (computes or name in model.outputs):
                 allowed = right if not derived else Result(right.x, right.e + _spread([run[name] - right.x for run in moved]))
@@ -192,7 +192,7 @@ def round_to(x: AnyArray, unit: float) -> AnyArray:
 def explain_precision(judged: Judgement, rounding: Rounding) -> str:
     """The precision that explains a wrong tensor: its numbers are right for a port that computes so; "" if none does.
 
-    Only where the port handed over all that the node reads.
+    Only if the port returned all inputs of the node.
     """
     node, operands = judged.node, judged.operands
 
@@ -220,7 +220,7 @@ def _explanations(judged: Judgement, fits: Fits, rounding: Rounding) -> Iterator
     for name, dtype in (("half or TF32", "float16"), ("bfloat16", "bfloat16")):
         results = compute(node, operands, Rounding(replace(rounding.arithmetic, dtype=dtype)))
         if sums and results is not None:
-            # Three roundings of each product: of both operands, whatever was folded into the weights, and of the result.
+            # Three roundings of each product: of both operands, also of factors folded into the weights, and of the result.
             wide = Result(results[0].x, results[0].errors * 3 / results[0].terms)
             yield (
                 f"{name}: errors of the size of its roundings",
@@ -234,9 +234,9 @@ FUSED = (1, 2, 4, 8)
 
 
 def is_fused(model: Model, inputs: Arrays, got: Arrays, judged: Judgement, rounding: Rounding) -> bool:
-    """Whether a tensor is right if a few of those before it are taken as the model has them, not as they were handed over.
+    """Whether a tensor is right if a few tensors before it are the model's, not the returned ones.
 
-    An engine that computes several nodes at once may hand over a tensor between them that it did not compute with.
+    An engine that computes several nodes at once may return a tensor between them that it did not use.
     """
     at = next(i for i, node in enumerate(model.nodes) if judged.tensor in node.outputs)
     part = replace(model, nodes=model.nodes[: at + 1])
@@ -270,7 +270,7 @@ def describe_terms(judged: Judgement, most: int = 3) -> str:
 
 
 def _terms(node: Node, x: AnyArray, w: AnyArray, at: tuple[int, ...]) -> AnyArray | None:
-    """The products that one number is the sum of; None where they are not taken apart."""
+    """The products whose sum is one number; None if they are not separated."""
     if node.op == "Gemm":
         a, b = (v.T if node.get(f"trans{k}", 0) else v for v, k in ((x, "A"), (w, "B")))
         return a[at[0]] * b[:, at[1]]

@@ -42,7 +42,7 @@ class Model:
         outputs: names.
         nodes: those that can be judged, in order.
         constants: by name.
-        unknown: a line for each node that cannot be judged, and for those behind it none.
+        unknown: a line for each node that cannot be judged, without the nodes that depend on it.
     """
 
     path: Path

@@ -37,8 +37,8 @@ class GraphPort(Protocol):
     def run(self, inputs: Arrays) -> dict[str, AnyArray]:
         """Compute; returns the model's outputs, and any other of its tensors, by their names in the model.
 
-        A port may have a second method, ``layers``, with the same arguments: tensors of another run, where handing them over changes how it
-        computes. ``run`` then gives the outputs alone.
+        A port may have a second method, ``layers``, with the same arguments: tensors of another run, if returning them changes the
+        computation. ``run`` then returns only the outputs.
         """
         ...
 
@@ -46,7 +46,7 @@ class GraphPort(Protocol):
 class OnnxRuntime:
     """ONNX Runtime with one of its providers. Its layers are those of a copy of the model that has all tensors as outputs.
 
-    There it fuses less than in the model as it is, whose outputs are judged, too.
+    There it fuses less than in the original model, whose outputs are judged, too.
     """
 
     def __init__(self, model: Model, provider: str = "CPU"):

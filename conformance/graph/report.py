@@ -34,7 +34,7 @@ TENSORS, OUTPUTS = "tensors", "outputs"
 
 
 def print_outcome(outcome: Outcome, console: Console) -> None:
-    """Print the tensors nearest to their bounds, the outputs, and what is wrong."""
+    """Print the tensors nearest to their bounds, the outputs, and the faults."""
     table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
     for name in HEAD:
         table.add_column(name, justify="left" if name in HEAD[:2] else "right", overflow="fold")

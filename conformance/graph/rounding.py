@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The rounding of one operator: its right numbers, and the most by which a port's may be off if its inputs are the same.
+"""The rounding of one operator: its right numbers, and the largest error of a port's if its inputs are the same.
 
 A sum of ``n`` products loses at most ``gamma_n = n u / (1 - n u)`` of the same sum of magnitudes, whatever the order of its terms and
 whether products and sums are fused (Higham, Accuracy and Stability, section 3.1).
@@ -25,7 +25,7 @@ class Result:
 
     Attributes:
         x: float64, or integers.
-        e: the most by which a port's number may be off; 0.0: it is exact.
+        e: the largest allowed error of a port's number; 0.0: it is exact.
         terms: of the sum whose rounding ``e`` is: rounding is a random walk, so the usual error is ``sqrt(terms)`` below the most.
     """
 

@@ -47,7 +47,7 @@ class Tensor:
     Attributes:
         op: the operator that makes it.
         ratio, rms: largest error / bound, and root mean square of errors over that of bounds.
-        is_own: whether its error is its node's alone.
+        is_own: whether its error is only its node's.
         cases: in which it was judged.
         fused: cases in which it is right only together with nodes before it (`is_fused`).
     """
@@ -189,7 +189,7 @@ class _Search:
             self._before.append(case)
 
     def fails_behind_others(self) -> None:
-        """Note that a case is wrong behind others, and right alone."""
+        """Note that a case is wrong after others, and right alone."""
         assert self._outcome.failure is not None
         failure = self._outcome.failure
         finding = replace(failure.finding, terms=(*failure.finding.terms, FORGETS))
@@ -234,7 +234,7 @@ def _check(model: Model, port: GraphPort, rounding: Rounding, inputs: dict[str, 
         _require_numbers(model, whole)
         _require_numbers(model, got)
     except Exception as error:
-        # A port is a stranger.
+        # A port is foreign code.
         headline, *more = _lines_of(error)
         raise DepartureError(Finding(headline, case, "", None, None, (*more, where))) from error
     try:
@@ -248,7 +248,7 @@ def _check(model: Model, port: GraphPort, rounding: Rounding, inputs: dict[str, 
     departs = next((row for row in rows if not row.ratio <= 1 and not is_fused(model, inputs, got, row, rounding)), None)
     departs = departs or next((row for row in ends if not row.ratio <= 1), None)
     for number, row in enumerate(rows):
-        # Tensors behind the first departure are not looked at for fusion.
+        # Tensors behind the first departure are not checked for fusion.
         fused = row.ratio > 1 and (departs not in rows or number < rows.index(departs))
         outcome.tensors.setdefault(row.tensor, Tensor(row.node.op)).take(row, fused=fused)
     for row in ends:

@@ -15,7 +15,7 @@ from conformance.answers.expected import Expected
 from conformance.protocol.port import Case
 
 DENORMAL = 2.0**-126
-"""A bound up to here lets a denormal number be 0, and nothing else."""
+"""A bound up to this one only allows a denormal number to be 0."""
 MOST_WRONG = 6
 """Failing cases of one test that are remembered: a mistake is named if it explains all of them."""
 LARGE = 48
@@ -31,7 +31,7 @@ class DepartureError(AssertionError):
 
 
 class WrongError(AssertionError):
-    """Numbers are wrong. The caller knows the case, and makes a `DepartureError` of it."""
+    """Numbers are wrong. The caller knows the case, and raises a `DepartureError` with it."""
 
     def __init__(self, message: str, output: str, got: NDArray[Any] | None, expected: Expected | None):
         super().__init__(message)
@@ -119,12 +119,12 @@ class TestResult:
         stage: its stage.
         property: the property that it tests, in words.
         outcome: ``passed``, ``failed``, ``skipped`` (the port lacks the stage), ``known`` (failed, as expected) or ``error``.
-        message: why, unless it passed.
+        message: the reason, unless it passed.
         seconds: duration.
         record: its cases and results.
     """
 
-    __test__ = False  # to pytest: none of its classes
+    __test__ = False  # for pytest: not a test class
 
     id: str
     stage: str
@@ -169,7 +169,7 @@ def describe(output: str, got: NDArray[Any], expected: Expected, worst: float) -
 
 
 def _from(wrong: NDArray[np.bool_]) -> str:
-    """Of a large frame, the row and the column at which the wrong numbers begin: limits of an index, of a tile."""
+    """For a large frame, the row and the column at which the wrong numbers begin: the limit of an index or of a tile."""
     words: list[str] = []
     for axis, name in enumerate(("row", "column")) if wrong.ndim in (2, 3) else ():
         first = int(wrong.any(axis=tuple(i for i in range(wrong.ndim) if i != axis)).argmax())

@@ -30,7 +30,7 @@ RMS = "_rms"
 MOST_BEFORE = BATCH - 1
 """Most cases that are remembered as those before a failure; together with the failing case they fill one run of a program."""
 OTHERS = 6
-"""Cases besides a failure that a mistake has to explain."""
+"""Cases, besides a failure, that a mistake must also explain."""
 MOST_ROUNDED = 4
 """Most inputs that are remembered in the form that the port gets."""
 MOST_WEIGHTS = 128
@@ -61,9 +61,9 @@ class Judge:
         seed: of the cases; the same seed gives the same cases.
         shrink: make a failing case smaller.
         repeat: number of times that each case is computed; different bits in any of them are a departure.
-        size: (H, W) at which each stage is judged once, too; None: at the tier's sizes only.
+        size: (H, W) at which each stage is also judged once; None: at the tier's sizes only.
         largest_side: the most rows or columns of an array that the port takes; larger cases are cut to that; None: any.
-        abilities: the port's; None: as it says itself.
+        abilities: the port's; None: the port's own statement.
 
     Attributes:
         record: of the test that runs now; the runner sets a new one before each test.
@@ -140,7 +140,7 @@ class Judge:
         return wrong
 
     def departures(self, body: Body, cases: Sequence[Any]) -> Iterator[tuple[int, DepartureError | None]]:
-        """The number of each case as it ends, with its departure if it is wrong.
+        """Yield the number of each case when it ends, with its departure if it is wrong.
 
         A program computes the questions of all cases together, round by round; an object answers one case after the other.
         """
@@ -176,7 +176,7 @@ class Judge:
             assert last is not None
             return error.of(last)
         except Exception as error:
-            # The judge's own fault: its case is kept as any other failure is.
+            # A fault of the judge: its case is kept like any other failure.
             if last is not None:
                 message = f"judging failed: {type(error).__name__}: {error}"
                 self.record.failure = Failure(Finding(message, last, "", None, None), dialogue.drawn)
@@ -187,7 +187,7 @@ class Judge:
         return self.make_case(question.stage, question.inputs, question.weights)
 
     def _ask(self, dialogues: Sequence[Dialogue]) -> list[list[Outputs] | DepartureError | None]:
-        """The port's answers to all cases that these wait for; a departure where one is none; None where no port was asked."""
+        """The port's answers for all waiting cases; a departure in place of a missing one; None if the port was not asked."""
         questions = [question for dialogue in dialogues for question in repeated(dialogue.asked, self.repeat)]
         order = sorted(range(len(questions)), key=lambda i: questions[i].again)
         cases = [self._case_of(question) for question in questions]
@@ -217,7 +217,7 @@ class Judge:
         return first
 
     def _checked(self, case: Case, answer: Answer) -> Outputs | DepartureError | None:
-        """The outputs, if they have the shapes and dtypes that they must have."""
+        """The outputs, if their shapes and dtypes are right."""
         sizes = check_inputs(case.stage, case.inputs, "float32")
         if answer is None:
             return None
@@ -275,7 +275,7 @@ class Judge:
         return {name: self.arithmetic.rounded(array, MOST_FLOAT16 if narrow else None) for name, array in arrays.items()}
 
     def _rounded_once(self, arrays: Arrays, stage: str) -> dict[str, NDArray[Any]]:
-        """`round_inputs`, kept for the last few cases: a property asks with the same mapping that it then compares by."""
+        """`round_inputs`, kept for the last few cases: a property asks and compares with the same mapping."""
         for inputs, of, rounded in self._rounded:
             if inputs is arrays and of == stage:
                 return rounded
@@ -373,10 +373,10 @@ class Judge:
 
 
 def _finite(got: NDArray[Any]) -> Expected:
-    """Of an answer that cannot be judged, since rounding decides on the whole of it: finite numbers."""
+    """Check an answer that cannot be judged, since rounding decides on all of it: its numbers must be finite."""
     return Expected(np.where(np.isfinite(got), got, 0), 0.0)
 
 
 def agreement(judge: Judge, case: Case) -> Talk:
-    """The property of a case that has no other: it agrees with the reference."""
+    """The property of a case without another one: it agrees with the reference."""
     yield from judge.agrees(case.stage, case.inputs, case.weights)

@@ -15,7 +15,7 @@ from stss_ref.arrays import ArrayError
 from stss_ref.weights import Weights
 
 Talk = Generator[Any, Any, None]
-"""A property on one of its cases: it yields a question, or several, gets their answers, and says that they are wrong or asks on."""
+"""A property on one of its cases: it yields questions, gets their answers, and raises an error if one is wrong."""
 BATCH = 256
 """Most cases in one start of a program."""
 BATCH_BYTES = 256 * 2**20
@@ -42,7 +42,7 @@ def ask(stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights | None 
 
 
 Answer = Outputs | PortError | None
-"""None: the port was not asked, since the start that would have answered failed at another case."""
+"""None: the port was not asked, since its start failed at another case."""
 
 
 RunMany = Callable[[Sequence[Case]], Sequence[Outputs | Unsupported]]
@@ -71,7 +71,7 @@ def _answer(port: Port, case: Case) -> Answer:
 
 
 def _computed(name: str, run_many: RunMany, cases: Sequence[Case]) -> list[Answer]:
-    """The answers of one start. If it fails, the case at which it did is asked alone."""
+    """The answers of one start. If it fails at a case, that case is asked alone."""
     try:
         answers = run_many(cases)
     except PortError as error:
@@ -122,7 +122,7 @@ class Dialogue:
         self._alone = False
 
     def go_on(self, answers: Sequence[Outputs] | None) -> None:
-        """Hand over the answers to its question, None to begin. Errors of the property are raised here."""
+        """Pass the answers to its question, None to begin. Errors of the property are raised here."""
         value = None if answers is None else answers[0] if self._alone else tuple(answers)
         self.asked = ()
         try:

@@ -21,7 +21,7 @@ EVERY_CHECK: list[HealthCheck] = [*HealthCheck]  # pyright: ignore[reportAssignm
 SHRINK_SECONDS = 60.0
 """Most time for making a failing case smaller; seconds."""
 TELL_SECONDS = 5.0
-"""A failure that has been made smaller for so long is told before it is as small as it gets; seconds."""
+"""After this time of making a failure smaller, it is reported before it has its smallest form; seconds."""
 
 
 class DrawnCases:
@@ -36,7 +36,7 @@ class DrawnCases:
         self._strategy, self._slow = strategy, slow
 
     def cases(self, judge: Judge) -> list[Any]:
-        """The cases, without a port: those that a program is judged on."""
+        """The cases, without a port: the cases on which a program is judged."""
         cases: list[Any] = []
         self._draw(judge, cases.append, [Phase.generate])
         return cases
@@ -66,7 +66,7 @@ class DrawnCases:
             raise DepartureError(judge.failure().finding) from None
 
     def _draw(self, judge: Judge, take: Callable[[Any], None], phases: list[Phase]) -> None:
-        """Call ``take`` with the cases, up to one that it raises at."""
+        """Call ``take`` with the cases, up to the first at which it raises."""
 
         @hypothesis.seed(judge.seed)
         @settings(
@@ -81,7 +81,7 @@ class DrawnCases:
 
 
 class MadeCases:
-    """Cases that are made, not drawn.
+    """Cases that functions make, not Hypothesis.
 
     Args:
         makers: each makes one case from a seeded generator; or a function of the judge that gives them.
@@ -159,7 +159,7 @@ class _Search:
 
 
 def _numbers(case: Any) -> int:
-    """How many numbers a case has."""
+    """The count of numbers in a case."""
     if isinstance(case, np.ndarray):
         return case.size
     if isinstance(case, Mapping):

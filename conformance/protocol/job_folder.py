@@ -45,7 +45,7 @@ MOST_BYTES = 2 * 2**30
 MOST_HEADER = 10_000
 """Bytes of the header of a ``.npy`` file, as NumPy's ``max_header_size``."""
 SPACES = 0, 0, 64, 256
-"""At the end of an input's header, by its array's size: NumPy writes 128 bytes for nearly every array, others write more."""
+"""Spaces at the end of an input's header, by its array's size: NumPy writes 128 bytes for nearly every array, other programs write more."""
 MOST_WEIGHTS_BYTES = 64 * 2**20
 """Most bytes of a weights file; this network's has 1.7 MiB."""
 
@@ -172,7 +172,7 @@ def case_folders(job: Path) -> list[Path]:
 
 
 def read_stage(case: Path) -> str:
-    """The case's stage, which need not be in the table: a later version of the project may have more."""
+    """The case's stage, which may be missing in the table: a later version of the project may have more stages."""
     text = read_bytes(case / "stage", 1 << 16)
     if not re.fullmatch(rb"[a-z0-9_]{1,64}\s*", text):
         raise JobError(f"{case / 'stage'}: expected one line, the name of a stage, got {text[:40]!r}")
@@ -376,7 +376,7 @@ def _mapped(path: Path) -> AnyArray:
         _require_short_header(path)
         array = np.lib.format.open_memmap(path, mode="r")
     except Exception as error:
-        # A stranger's text, which NumPy evaluates as a literal: more than ValueError comes out.
+        # A stranger's text, which NumPy evaluates as a literal: it raises more than ValueError.
         raise JobError(f"{path}: not a .npy file of numbers: {_first_line(error)}") from error
     if array.dtype.kind not in "biuf" or array.dtype.subdtype is not None:
         raise JobError(f"{path}: expected an array of numbers, got {_first_line(array.dtype)}")
@@ -403,7 +403,7 @@ def _first_line(value: object) -> str:
 
 
 def _read_arrays(folder: Path, specs: Mapping[str, ArraySpec], fits: Callable[[Arrays], None]) -> Outputs:
-    """The arrays of these names; ``fits`` is asked before the first number is read. It raises ArrayError."""
+    """The arrays of these names; ``fits`` is called before the first number is read, and raises ArrayError."""
     mapped = {name: _mapped(folder / f"{name}.npy") for name in specs}
     fits(mapped)
     arrays = {name: _loaded(array) for name, array in mapped.items()}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Results of layers, which a port may hand over so that the judge can say where a wrong answer begins."""
+"""Results of layers, which a port may return so that the judge can name the layer where a wrong answer begins."""
 
 from __future__ import annotations
 
@@ -42,11 +42,11 @@ LAYERS_OF: Mapping[str, Mapping[str, ArraySpec]] = {
     "network": _WHOLE,
     "frame": {**{name: array_spec(text) for name, text in _GIVEN.items()}, **_WHOLE},
 }
-"""Of each stage that has any, in the order of computation: names and shapes. Each as the next layer reads it: behind gate and ReLU."""
+"""For each stage that has layers, in the order of computation: names and shapes. Each result is after gate and ReLU."""
 
 
 def choose(stage: str, record: Activations) -> Outputs:
-    """Of all that was seen, the layers of a stage."""
+    """The layers of a stage among all recorded arrays."""
     layers: Outputs = {}
     for name in LAYERS_OF.get(stage, {}):
         if arrays := record.arrays.get(name):
@@ -55,7 +55,7 @@ def choose(stage: str, record: Activations) -> Outputs:
 
 
 def check_layers(stage: str, layers: Arrays, inputs: Arrays, label: Label = str) -> None:
-    """Say that ``layers`` are some of a stage's, of the right shapes, in float32.
+    """Check that ``layers`` are layers of a stage, of the right shapes, in float32.
 
     Raises:
         ArrayError: one is not.

@@ -38,10 +38,10 @@ def load_port(
         dtype: arithmetic of the port; None: as the port's own ``dtype`` says, float32 for a program.
         winograd: the port uses Winograd convolutions, even if its own ``winograd`` does not say so.
         weights_version: the latest version of weights that the port knows; None: as its own ``weights_version`` says, else the latest.
-        stages: a program is asked for these alone.
+        stages: a program is asked only for these.
 
     Returns:
-        The port, and its abilities as it says them or as they are given here.
+        The port, and its abilities by its own statement or by these arguments.
 
     Raises:
         InputError: not exactly one of ``spec`` and ``program`` is given, or there is no such port.
@@ -71,7 +71,7 @@ def load_port(
 
 
 def loaded_files() -> list[Path]:
-    """The files of all modules that this process has imported: those of a port are read, whatever it imported itself."""
+    """The files of all modules that this process has imported, so also those of a port and of its imports: they count as read."""
     files = (getattr(module, "__file__", None) for module in [*sys.modules.values()])
     return [Path(name) for name in files if isinstance(name, str)]
 

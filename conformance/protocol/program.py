@@ -19,7 +19,7 @@ from conformance.protocol.served import Server
 T = TypeVar("T")
 MEMORY = Path("/dev/shm")
 ROOM, LEAST_ROOM = 4, 512 * 2**20
-"""Free memory that a job needs to lie in memory: as a multiple of its inputs, and at least this number of bytes."""
+"""Free memory for a job in memory: a multiple of its inputs, and at least this number of bytes."""
 
 
 class Program:
@@ -93,7 +93,7 @@ class Program:
         return results
 
     def _start(self, job: Path) -> None:
-        """Let the program compute ``job``: one that serves goes on, any other is run to its end."""
+        """Let the program compute ``job``: a serving one goes on, any other runs to its end."""
         try:
             server = self._serving()
         except OSError as error:
@@ -145,7 +145,7 @@ def place_for(cases: Sequence[Case]) -> Path | None:
 
 
 def _first_unanswered(job: Path, count: int) -> int | None:
-    """Number of the first case of a job that a program has not begun to answer: as a rule that is where it failed."""
+    """Number of the first case of a job that a program has not begun to answer: usually the case at which it failed."""
     names = (f"{number:04d}" for number in range(count))
     return next(
         (n for n, name in enumerate(names) if not any((job / name / file).exists() for file in ("out", "unsupported"))), None
@@ -153,7 +153,7 @@ def _first_unanswered(job: Path, count: int) -> int | None:
 
 
 def _failed(ending: Ending, timeout: float) -> str:
-    """The reason why none of the program's outputs counts; "" if there is none."""
+    """The reason to reject all of the program's outputs; "" if there is none."""
     if ending.status is None:
         return f"stopped after {timeout:g} s" if not ending.talked else f"stopped: more than {MOST_SAID >> 20} MiB on its output"
     return describe(ending.status) if ending.status != 0 else ""

@@ -32,7 +32,7 @@ class FolderPort(Program):
             command: program and arguments; the job folder is added as the last one.
             timeout: seconds for one start, whatever the number of cases.
             dtype: ``float32`` or ``float16``.
-            stages: those that it is asked for: all others count as lacking.
+            stages: the stages to ask for; all others count as lacking.
         """
         super().__init__(command, timeout)
         self._asked_for = [stage for stage in STAGES if stage in set(stages)]
@@ -40,7 +40,7 @@ class FolderPort(Program):
         self._stages: frozenset[str] | None = None
 
     def stages(self) -> frozenset[str]:
-        """The stages that the program supports at some size: asked once, with a small case, and with a larger one if it has no such."""
+        """The stages that the program supports at some size: asked once, with a small case and, without success, a larger one."""
         if self._stages is None:
             stages: set[str] = set()
             for size in PROBED:
@@ -76,7 +76,7 @@ class FolderPort(Program):
         return self.compute(cases, lambda job: write_job(job, cases), read) if cases else []
 
     def layers(self, stage: str, inputs: Arrays, weights: Weights | None = None) -> Outputs:
-        """The layers of one case that it hands over, perhaps none. Errors as ``run_many``."""
+        """The layers that it returns for one case, perhaps none. Errors as ``run_many``."""
         cases = [Case(stage, inputs, weights)]
         (layers,) = self.compute(
             cases, lambda job: write_job(job, cases, layers=True), lambda folder, _: read_layers(folder, stage, inputs)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A separate program, on Linux: it starts another and adopts the processes that it leaves, so that none of them outlives it.
+"""A separate program, on Linux: it starts another program and adopts the processes that this leaves, so that none of them survives.
 
 ``python reaper.py FD PROGRAM ARGUMENT ...`` writes ``status N`` (negative for a signal) or ``errno N`` to the file descriptor. It ends
 them on SIGTERM, and when the process that started it ends.
@@ -14,7 +14,7 @@ from pathlib import Path
 
 PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER = 1, 36
 RESTORED = [signal.SIGPIPE, signal.SIGXFSZ]
-"""Signals that Python ignores and a program expects not to be."""
+"""Signals that Python ignores, while programs expect the default."""
 
 
 class StoppedError(Exception):
@@ -46,7 +46,7 @@ def _stop(*_: object) -> None:
 
 
 def end_all() -> None:
-    """Kill all children, and theirs, which become ours as their parents end."""
+    """Kill all children, and their children, which become ours when their parents end."""
     while sum(killed(child) for child in children()):
         os.wait()
 
@@ -61,7 +61,7 @@ def killed(child: int) -> bool:
 
 
 def children() -> list[int]:
-    """The processes whose parent is this one, those that have ended but were not waited for too."""
+    """The child processes of this one, including ended ones that were not waited for."""
     numbers = []
     for path in Path("/proc").glob("[0-9]*/stat"):
         with suppress(OSError):

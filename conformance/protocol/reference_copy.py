@@ -25,7 +25,7 @@ from conformance.protocol.watch import Watch
 from stss_ref.weights import Weights
 
 SHARED = ("stss_ref.arrays", "stss_ref.weights")
-"""Modules that a copy has in common with the reference: they compute nothing, and are known by their classes."""
+"""Modules that a copy shares with the reference: they compute nothing, and their classes must be the same."""
 
 
 class PlantError(ValueError):
@@ -85,7 +85,7 @@ def put(name: str, value: Any) -> Plant:
 
 
 def wrap(name: str, wrong: Callable[..., Any]) -> Plant:
-    """``wrong`` in place of a function, which it is handed before the arguments."""
+    """``wrong`` in place of a function; its first argument is the original."""
 
     def plant(copy: Copy) -> None:
         right = copy.get(name)
@@ -120,7 +120,7 @@ def _by_name(function: Callable[..., Any], arguments: Sequence[Any], named: Mapp
 
 
 def _read_by(change: Callable[..., Any], by_name: Mapping[str, Any]) -> dict[str, Any]:
-    """Of a function's arguments those that a change reads besides its first."""
+    """The arguments of a function that a change reads besides its first."""
     if isinstance(change, np.ufunc):
         return {}
     return {key: by_name[key] for key in list(signature(change).parameters)[1:] if key in by_name}
@@ -131,11 +131,11 @@ class Mistake:
     """A mistake that a porter could make.
 
     Attributes:
-        stage: its tests ought to catch the mistake. It is the narrowest stage; ``network`` and ``frame``, which contain it, fail, too.
+        stage: its tests must catch the mistake. It is the narrowest stage; ``network`` and ``frame``, which contain it, fail, too.
         name: unique within the stage.
         what: the mistake, in one line.
         plants: the mistake, as changes of a copy.
-        also: other narrow stages whose tests ought to catch it, since they share the code.
+        also: other narrow stages whose tests must catch it, since they share the code.
         bits: the numbers stay within any bound, so that only a test of exact bits can catch it.
         large: no small frame shows it.
     """

@@ -20,7 +20,7 @@ SERVE = "--serve"
 READY = "stss serve 1"
 """The line that a program says first; 1 is the version of the protocol."""
 DONE = "done "
-"""Before the job folder that has been computed."""
+"""Prefix of the line that names a computed job folder."""
 READY_SECONDS = 10.0
 """Most time until a program says that it serves; devices may be opened later."""
 MOST_LINE = 1 << 16
@@ -47,7 +47,7 @@ class Server:
         self._listener.start()
 
     def is_ready(self, timeout: float) -> bool:
-        """Whether it says that it serves; any other program has ended, or says something else."""
+        """Whether it says that it serves; any other program ends, or says something else."""
         end = time.monotonic() + min(timeout, READY_SECONDS)
         while time.monotonic() < end and not self._too_much():
             try:
@@ -114,7 +114,7 @@ class Server:
         return max(self._said, os.fstat(self._err.fileno()).st_size) > MOST_SAID
 
     def _listen(self) -> None:
-        """Take its lines, of which those beyond ``MOST_LINE`` are no answers."""
+        """Read its lines; those longer than ``MOST_LINE`` are no answers."""
         assert self._process.stdout is not None
         rest = b""
         while some := os.read(self._process.stdout.fileno(), MOST_LINE):

@@ -79,7 +79,7 @@ def _warp(a: Arrays, _: Weights) -> Outputs:
 
 
 def hole_test(paper: NDArray[Any]) -> HoleTest:
-    """The test that stage ``holes`` is asked for: its input ``paper`` is 0, or not."""
+    """The hole test by the input ``paper`` of stage ``holes``: the footprint's for 0, otherwise the paper's."""
     return "paper" if paper[0] else "footprint"
 
 
@@ -104,7 +104,7 @@ def _frame_inputs(a: Arrays) -> FrameInputs:
 
 
 def network_inputs(a: Arrays, weights: Weights) -> Outputs:
-    """The inputs of stage ``network`` that stage ``frame`` makes of its own."""
+    """The inputs of stage ``network`` that stage ``frame`` makes from its own."""
     prepared = prepare(_frame_inputs(a), second=weights.second_color, test=weights.hole_test, hole_fill=weights.hole_fill)
     return {"color": prepared.color, "gbuffer": prepared.gbuffer, "mask": prepared.mask, "history": prepared.history}
 

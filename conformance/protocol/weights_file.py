@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """The weights file of a job: safetensors, whose tensors, entries and metadata may stand in any order.
 
-The library writes one order alone, by which a port might take the tensors; ports are to go by the names.
-Nor may they take a header for the file, so weights that are nearly alike share theirs.
+The library writes one order only, on which a port might rely; ports must go by the names. Nor may a port recognise a file by its header,
+so nearly equal weights share theirs.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from conformance.protocol.weights_format import format_metadata
 from stss_ref.weights import Weights, check
 
 FURTHER = {"trained": '[{"crop": "{\\"side\\": 64}"}, "weights"]'}
-"""An entry of the metadata that no port needs: files of trained weights have such ones."""
+"""An entry of the metadata that no port needs, as in files of trained weights."""
 ALIGNED = 8
 """The header's length is a multiple of this, as the library's is, so that the numbers are aligned."""
 DRAWN_FROM = "latentEncoder.2.weight"
-"""The tensor that decides how a file is laid out: weights that differ in another one have the same header, as files of one trainer do."""
+"""The tensor that decides the layout of a file: weights that differ in another tensor have the same header, as files of one trainer do."""
 MORE = 0, 0, 1, 700
-"""How many times as many spaces may stand behind the header's end."""
+"""Choices for the number of surplus spaces at the header's end, in units of the alignment."""
 
 
 def serialise(weights: Weights) -> bytes:
@@ -53,7 +53,7 @@ def serialise(weights: Weights) -> bytes:
 
 
 def shuffled(weights: Weights) -> Weights:
-    """The same weights, the names in another order: for a port that is given them by name."""
+    """The same weights with the names in another order, for a port that gets them by name."""
     return replace(weights, tensors=_in_any_order(_generator(weights), dict(weights)))
 
 

@@ -12,7 +12,7 @@ VERSION_KEY, SECOND_COLOR_KEY, HOLE_TEST_KEY, HOLE_FILL_KEY = "stss_weights_vers
 NEWEST_ALONE, WITH_HOLE_TEST, WITH_DETAIL, WITH_RESHADE = "1", "3", "4", "5"
 """Versions of a weights file: with the newest frame as the second colour and the footprint's hole test; with the hole test that the
 metadata name; with detail as the second colour; and with holes that are reshaded. A program that knows only earlier versions refuses
-this file. Version 2 had a second colour that is no more (decision 37)."""
+this file. Version 2 had a second colour that no longer exists (decision 37)."""
 VERSIONS = (NEWEST_ALONE, WITH_HOLE_TEST, WITH_DETAIL, WITH_RESHADE)
 
 

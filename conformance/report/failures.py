@@ -98,7 +98,7 @@ def _write_failure(folder: Path, finding: Finding, again: str, write: Write) -> 
 
 
 def _write_picture(path: Path, got: NDArray[Any], expected: Expected) -> str:
-    """Words on the picture; "" where there is none to draw."""
+    """Words on the picture; "" if there is none to draw."""
     try:
         picture = draw(got, expected)
     except Exception as error:
@@ -140,7 +140,7 @@ def replay(port: Port, folder: Path, abilities: Abilities | None = None) -> Reco
     except (JobError, PortError) as error:
         raise InputError(str(error)) from error
     except (LookupError, ValueError, TypeError, AttributeError) as error:
-        # An edited folder may hold no case of its property, and then raises anything anywhere.
+        # An edited folder may hold no case of its property, and may then raise any error anywhere.
         raise InputError(f"{folder}: expected the folder of one failure: {error}") from error
     return judge.record
 
