@@ -51,8 +51,10 @@ def is_needed() -> bool:
         raise DeviceError(f"STSS_LINKER: expected one of {', '.join(CHOICES)}, got {named!r}")
     if named is not None:
         return named == "own"
+    # Where PATH is not set, as in some cron jobs, Python looks in the system's folders, but PoCL nowhere.
+    found = shutil.which("ld", path=os.environ.get("PATH", ""))
     return possible() and (
-        shutil.which("ld") is None or not _there(COMPILERS, "libgcc.a") or not _there(LIBRARIES, "libc.so", "libc.a")
+        found is None or not _there(COMPILERS, "libgcc.a") or not _there(LIBRARIES, "libc.so", "libc.a")
     )
 
 

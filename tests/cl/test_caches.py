@@ -261,6 +261,11 @@ def test_a_user_without_a_home_computes(processor, bare, privileged):
     compute(bare | {"HOME": "/nonexistent"}, command)
 
 
+def test_a_cron_job_computes(processor, tmp_path):
+    """Without PATH, HOME and locale; the cache alone is named, to have it empty."""
+    compute({"XDG_CACHE_HOME": str(tmp_path)})
+
+
 def test_processes_that_build_in_an_empty_cache_at_once_all_succeed(processor, bare):
     command = [sys.executable, "-c", "import sys; sys.stdin.readline()\n" + COMPUTE]
     starts = [subprocess.Popen(command, env=bare, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) for _ in range(3)]

@@ -1,6 +1,7 @@
 """Machines without a linker: PoCL computes all the same, with the same bits, and what the linker cannot do it says."""
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -115,6 +116,15 @@ def test_it_is_needed_where_something_is_missing(tmp_path, monkeypatch, missing)
     assert linker.is_needed()
     monkeypatch.setenv("STSS_LINKER", "system")
     assert not linker.is_needed()
+
+
+def test_it_is_needed_without_a_path(tmp_path, monkeypatch):
+    """As in a cron job whose environment is empty: PoCL then looks for ld nowhere."""
+    monkeypatch.delenv("STSS_LINKER", raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.delenv("PATH")
+    linker.provide()
+    assert shutil.which("ld", path=os.environ["PATH"]).startswith(str(tmp_path))
 
 
 def test_other_choices_are_refused(monkeypatch):
