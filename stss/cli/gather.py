@@ -33,6 +33,8 @@ def gather(parts: Path, out: Path, sequence: Path | None, frames: tuple[int, int
     bar = partial(track, console=Terminal(stderr=True), unit="parts")
     result = gather_parts(parts, out, sequence, frames=frames, overwrite=overwrite, track=bar)
     echo(f"{out}: {result.frames} frames, gathered from {result.parts} part{'s' * (result.parts != 1)}")
+    if len(result.makers) > 1:
+        echo(f"made by: {'; '.join(result.makers)}: the last bits of their frames may differ", err=True)
     if result.missing:
         more = f", ... ({result.missing} in all)" if result.missing > len(result.first_missing) else ""
         listed = ", ".join(map(str, result.first_missing)) + more

@@ -6,12 +6,13 @@ from __future__ import annotations
 import hashlib
 import os
 import re
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from itertools import chain, islice, pairwise
 from pathlib import Path
 from typing import NamedTuple
 
+from stss.images.headers import read_header
 from stss.run.job import folder_of
 from stss_ground.errors import InputError
 from stss_ground.output.folder import MOST_BYTES, SUMS, OutputFolder, digest_of
@@ -29,6 +30,10 @@ _FRAME = re.compile(r"frame\.(-?\d+)\.\w+")
 
 LISTED = 8
 """Most frames that are listed as missing."""
+SETTINGS = ("spec", "method", "weights", "transfer", "highlights", "depth", "profile", "background")
+"""Of a frame's metadata: what all frames of one run have in common."""
+MADE_BY = ("backend", "version")
+"""What may differ, with the last bits of the pictures."""
 
 
 class Gathered(NamedTuple):
@@ -39,12 +44,14 @@ class Gathered(NamedTuple):
         frames: the number of frames in the folder.
         missing: the number of frames that it lacks.
         first_missing: the first `LISTED` of these.
+        makers: devices and versions of stss that made the frames.
     """
 
     parts: int
     frames: int
     missing: int
     first_missing: tuple[int, ...]
+    makers: tuple[str, ...]
 
 
 def gather(
@@ -70,8 +77,8 @@ def gather(
         track: may show how many parts are looked at, and then moved.
 
     Raises:
-        InputError: there is no part, a file of one is not as its list says, two parts differ in a file, a process writes to one, or
-            ``out`` may not be written to.
+        InputError: there is no part, a file of one is not as its list says, two parts differ in a file or in their settings, a process
+            writes to one, or ``out`` may not be written to.
     """
     with tell_errors(parts):
         before = _read_mark(parts / MARK)
@@ -92,6 +99,7 @@ def gather(
         sums, lists = _checked(folders, target, before, track)
         if not overwrite:
             _require_same(target, sums)
+        makers = _require_alike(folders, None if overwrite else target)
         for folder in map(folders.__getitem__, track(range(len(folders)))):
             _copy(folder, target, sums)
         for name in sums:
@@ -110,7 +118,9 @@ def gather(
     first, last = frames or (min(there, default=0), max(there, default=-1))
     shown = sorted(number for number in there if first <= number <= last)
     gaps = (range(a + 1, b) for a, b in pairwise([first - 1, *shown, last + 1]))  # lazily: numbers may lie far apart
-    return Gathered(len(folders), len(there), last - first + 1 - len(shown), tuple(islice(chain.from_iterable(gaps), LISTED)))
+    return Gathered(
+        len(folders), len(there), last - first + 1 - len(shown), tuple(islice(chain.from_iterable(gaps), LISTED)), makers
+    )
 
 
 def _parts_in(parts: Path) -> list[Path]:
@@ -179,6 +189,35 @@ def _require_same(target: OutputFolder, sums: Mapping[str, str]) -> None:
                 raise InputError(f"{path}: a part has another frame of this name; --overwrite replaces what an earlier run wrote")
             if name not in sums and not target.holds(name):
                 raise InputError(f"{path}: neither as {SUMS} says nor in a part; expected another folder")
+
+
+def _require_alike(folders: Sequence[Path], target: OutputFolder | None) -> tuple[str, ...]:
+    """Who made the frames; InputError where they are of runs with different settings: the film would change its look within a shot."""
+    first: tuple[Path, dict[str, str]] | None = None
+    makers: dict[str, None] = {}
+    for path in _frames_of(folders, target):
+        try:
+            attributes = read_header(path).attributes
+        except InputError:  # as its list says, whatever it is
+            attributes = {}
+        made = {name: str(attributes.get(f"stss:{name}", "none")) for name in SETTINGS} | {"format": path.suffix[1:]}
+        first = first or (path, made)
+        for name, value in made.items():
+            if value != first[1][name]:
+                raise InputError(
+                    f"{path}: {name} {value}, but {first[0]} has {first[1][name]}; expected frames of one run: make a part again"
+                )
+        makers[", ".join(f"{name} {attributes.get(f'stss:{name}', 'none')}" for name in MADE_BY)] = None
+    return tuple(makers)
+
+
+def _frames_of(folders: Sequence[Path], target: OutputFolder | None) -> Iterator[Path]:
+    for folder in folders:
+        with _opened(folder) as part:
+            names = [name for name in part.sums() if _FRAME.fullmatch(name)]
+        yield from (folder / name for name in names if (folder / name).exists())
+    if target is not None:
+        yield from (target.path / name for name in target.sums() if _FRAME.fullmatch(name) and (target.path / name).exists())
 
 
 def _copy(folder: Path, target: OutputFolder, sums: Mapping[str, str]) -> None:

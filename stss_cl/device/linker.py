@@ -53,9 +53,7 @@ def is_needed() -> bool:
         return named == "own"
     # Where PATH is not set, as in some cron jobs, Python looks in the system's folders, but PoCL nowhere.
     found = shutil.which("ld", path=os.environ.get("PATH", ""))
-    return possible() and (
-        found is None or not _there(COMPILERS, "libgcc.a") or not _there(LIBRARIES, "libc.so", "libc.a")
-    )
+    return possible() and (found is None or not _there(COMPILERS, "libgcc.a") or not _there(LIBRARIES, "libc.so", "libc.a"))
 
 
 def possible() -> bool:

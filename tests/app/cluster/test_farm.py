@@ -18,6 +18,7 @@ from stss.sequence.reader import open_sequence
 from stss.weights.file import BILINEAR, load
 from stss_ground.errors import InputError
 from stss_ground.output.folder import SUMS
+from stss_ground.version import VERSION
 from tests.app.conftest import PLAIN, files
 from tests.hostile.cases import call
 
@@ -109,7 +110,7 @@ def test_parts_make_what_one_run_makes(parts, frames, tmp_path):
     out = tmp_path / "out"
     moved = [(parts / "0" / name) for name in ("frame.0000.exr", "holes/frame.0001.png")]
     whole = files(parts / "0")
-    assert gather(parts, out, frames) == (2, 8, 0, ())
+    assert gather(parts, out, frames) == (2, 8, 0, (), (f"backend ref, version {VERSION}",))
     assert files(out) == files(tmp_path / "one")
     assert not parts.exists()
     for name, data in whole.items():
@@ -152,7 +153,7 @@ def test_a_task_that_never_ran_is_named(parts, frames, tmp_path, missing_task, t
 def test_gaps_are_named_without_a_range(frames, tmp_path):
     for name, numbers in (("0", (0, 1)), ("1", (6, 7))):
         plain(frames, tmp_path / "parts" / name, numbers)
-    assert gather(tmp_path / "parts", tmp_path / "out", frames) == (2, 4, 4, (2, 3, 4, 5))
+    assert gather(tmp_path / "parts", tmp_path / "out", frames)[:4] == (2, 4, 4, (2, 3, 4, 5))
 
 
 def test_a_gap_between_frames_is_never_walked(frames, tmp_path):
@@ -182,6 +183,14 @@ FAULTS = {  # what becomes of parts, target and frames -> what is said
         lambda parts, _, frames: plain(frames, parts / "2", (7, 7), transfer="none"),
         "frame.0007.exr: another part has",
     ),
+    "other settings": (
+        lambda parts, _, frames: plain(frames, parts / "1", (5, 7), transfer="none", overwrite=True),
+        "1/frame.0005.exr: transfer none, but .*0/frame.0000.exr has srgb; expected frames of one run",
+    ),
+    "another format": (
+        lambda parts, _, frames: plain(frames, parts / "2", (7, 7), format="png"),
+        "2/frame.0007.png: format png, but .*0/frame.0000.exr has exr; expected frames of one run",
+    ),
     "another run": (
         lambda _, out, frames: plain(frames, out, transfer="none"),
         "frame.0000.exr: a part has another frame of this name",
@@ -196,6 +205,15 @@ FAULTS = {  # what becomes of parts, target and frames -> what is said
     "among the parts": (lambda parts, out, _: out.symlink_to(parts / "all"), "out: expected a folder outside of"),
     "no parts": (lambda parts, *_: parts.rename(parts.with_name("gone")), "expected a folder with a folder for each part"),
 }
+
+
+def test_frames_of_two_devices_are_told(parts, frames, tmp_path, monkeypatch):
+    """A farm may have several; unlike settings, that is no mistake."""
+    monkeypatch.setattr(type(open_backend("ref", WEIGHTS)), "name", "another")
+    plain(frames, parts / "1", (5, 7), overwrite=True)
+    done = call("gather", parts, "-o", tmp_path / "out")
+    assert done.returncode == 0
+    assert re.search("made by: backend ref, version .*; backend another, version .*: the last bits", done.stderr)
 
 
 @pytest.mark.parametrize("fault", FAULTS)
