@@ -18,7 +18,7 @@ RELATIVE = {"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5, 0) else
 
 
 class Preferences(bpy.types.AddonPreferences):
-    """Settings of the user, not of a scene: a file of another person must not name a program to run."""
+    """Settings of the user, not of a scene: another person's file must not name a program to run."""
 
     bl_idname = __package__
 
@@ -85,7 +85,7 @@ class Render(bpy.types.Operator):
     bl_idname, bl_label = "stss.render", "Render and supersample"
 
     def invoke(self, context: Any, event: Any) -> set[str]:
-        """The button: the status bar shows how far it is, Esc stops it; Blender draws between frames and takes no other input."""
+        """The button: the status bar shows the progress, Esc stops it; Blender draws between frames and takes no other input."""
         del event
         self.steps = self.work(context)
         self.timer = context.window_manager.event_timer_add(0.01, window=context.window)
@@ -106,7 +106,7 @@ class Render(bpy.types.Operator):
         return {"RUNNING_MODAL"}
 
     def execute(self, context: Any) -> set[str]:
-        """Without a window, or called from Python: all at once."""
+        """Without a window, or called from Python: all steps in one call."""
         self.steps, ended, before = self.work(context), None, ""
         while ended is None:
             ended, line = self.step()
@@ -116,7 +116,7 @@ class Render(bpy.types.Operator):
         return ended
 
     def step(self) -> tuple[set[str] | None, str]:
-        """Go on; returns how the operator ended, or None and the line on how far it is."""
+        """Go on; returns the operator's result, or None and a line on the progress."""
         try:
             return None, next(self.steps)
         except StopIteration as done:
@@ -134,7 +134,7 @@ class Render(bpy.types.Operator):
         return state
 
     def work(self, context: Any) -> Generator[str, None, str]:
-        """Render, run stss and load the result; yields lines on how far it is, and returns the last."""
+        """Render, run stss and load the result; yields lines on the progress, and returns the last one."""
         scene, settings = context.scene, context.scene.stss
         folder, command = folder_of(settings.folder), chosen_command(context)
         cuts, options = film.cuts_of(film.harmless(settings.options))

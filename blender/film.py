@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Half the frames at half the size, and the G-buffer of all of them; then stss. Needs bpy; stss runs as a program of its own.
+"""Half the frames at half the size, and the G-buffer of all of them; then stss. Needs bpy; stss runs as a separate program.
 
-`render` and `supersample` are generators: each yields a line on how far it is, and between two of them Blender may draw and stop it.
+`render` and `supersample` are generators: each yields lines on the progress, and between two of them Blender may draw and stop it.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ HARMLESS = {
     "--backend", "--cuts", "--depth", "--device", "--format", "--frames", "--keep-going", "--memory-limit",
     "--metallic", "--non-finite", "--precision", "--roughness", "--skip", "--transfer", "--weights",
 }  # fmt: skip
-"""Options of ``stss run`` that a scene of somebody else may name, if they name no path: they read and write no further file."""
+"""Options of ``stss run`` that another person's scene may name, without a path: they read and write no further file."""
 PACKAGES = Path(__file__).parent / "packages"
 """stss and its dependencies. Not in the manifest's list of wheels: Blender itself would then take our NumPy, and other add-ons with it."""
 SUFFIXES = {".exr", ".png"}
 POLL = 0.1
 """Seconds between two looks at the program, in which Blender does not draw."""
 MARK = "stss-film"
-"""Name of the file that tells a folder of ours from others."""
+"""Name of the file that marks a folder of this extension."""
 
 
 class FilmError(RuntimeError):
@@ -60,7 +60,7 @@ def render(scene: Any, folder: Path, cuts: Collection[int] = ()) -> Generator[st
         Lines for the user, see `passes.set_up`; and the first frames of all shots but the first.
 
     Raises:
-        FilmError: the scene is not one that can be rendered so, or the folder is somebody else's.
+        FilmError: the scene cannot be rendered in this way, or the folder holds other files.
     """
     require(scene, cuts)
     take(folder)
@@ -71,7 +71,7 @@ def render(scene: Any, folder: Path, cuts: Collection[int] = ()) -> Generator[st
     (folder / "lr").mkdir(exist_ok=True)
     for old in {*(folder / "lr").iterdir()} - {*files.values()}:
         if old.name.startswith(("frame.", ".frame.")):
-            old.unlink()  # of an earlier render, which was longer or was stopped
+            old.unlink()  # from an earlier render, which was longer or was stopped
     try:
         yield "looking at what moves"
         cameras = survey(scene, layer, numbers)
@@ -89,7 +89,7 @@ def render(scene: Any, folder: Path, cuts: Collection[int] = ()) -> Generator[st
 
 
 def require(scene: Any, cuts: Collection[int] = ()) -> None:
-    """See that the scene can be rendered, before an hour is spent on it.
+    """Check that the scene can be rendered, before an hour is spent on it.
 
     Raises:
         FilmError: it cannot.
@@ -255,7 +255,7 @@ def supersample(
     words = [*(command or (sys.executable, "-P", "-m", "stss")), "run", str(folder / "lr"), "-o", str(out)]
     words += ["--profile", "blender", "--camera", str(folder / "camera.csv"), "--overwrite", *options]
     words += ["--cuts", ",".join(map(str, cuts))] if cuts else []
-    # Its own packages before those of Blender's Python. -P: no module beside the .blend is one of them.
+    # Our packages come before those of Blender's Python. -P: no module beside the .blend is imported.
     environment = os.environ if command else {**os.environ, "PYTHONPATH": str(PACKAGES)}
     before = _times(out)
     with tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as messages:

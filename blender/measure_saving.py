@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: MIT
 """The cost of a film in Cycles at full size and rate, by samples, and at half of both with stss; and the quality of each.
 
-Runs where Blender is a Python module (`pip install bpy`). stss runs as a program of its own::
+Runs where Blender is a Python module (`pip install bpy`). stss runs as a separate program::
 
     python measure_saving.py shot.blend -o saving --frames 1 10 --samples 32 --truth 128 --stss .venv/bin/stss
 
-Prints processor seconds of a frame, of all cores together, and PSNR and SSIM against the truth: the mean of all frames. No frame is
+Prints processor seconds of a frame, summed over all cores, and PSNR and SSIM against the truth: the mean of all frames. No frame is
 denoised.
 """
 

@@ -73,9 +73,9 @@ def _show(material: Any) -> bool:
 
 
 def survey(scene: Any, layer: Any, frames: Iterable[int]) -> list[tuple[int, Any, tuple[float, ...]]]:
-    """Step through the frames: where the camera is in each, and a pass index of its own for every object that moves.
+    """Step through the frames: record the camera's position in each, and give every moving object its own pass index.
 
-    What moves is seen in the evaluated scene, not guessed from its keys: objects, particles and other instances by their matrices,
+    Movement is found in the evaluated scene, not guessed from its keys: objects, particles and other instances by their matrices,
     armatures, shape keys, simulations and geometry nodes by the vertices that they yield. 0 stays for objects at rest.
 
     Returns:

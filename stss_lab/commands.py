@@ -18,4 +18,4 @@ SECTIONS: Sections = {
         "gpu-report": ("stss_lab.command_bench:gpu_report_command", "Test, judge and time this machine's GPU."),
     },
 }
-"""Section of ``stss --help`` -> command -> its place, and its purpose."""
+"""Section of ``stss --help`` -> command -> its module and function, and its purpose."""

@@ -40,19 +40,19 @@ class Shaped(Protocol):
 
 
 class ArrayError(ValueError):
-    """An array is not what a stage takes; the message names it, what was expected and what was found."""
+    """An array does not fit a stage; the message names it, the expected and the found value."""
 
 
 def require(
     arrays: Mapping[str, tuple[Any, str]], *, non_finite: Collection[str] = (), masks: Collection[str] = ()
 ) -> dict[str, int]:
-    """Check a function's arrays: shapes, one dtype, finite numbers. The error names the first array that is not so.
+    """Check a function's arrays: shapes, one dtype, finite numbers. The error names the first array that does not fit.
 
     Args:
         arrays: name -> the array, and its shape in the words of docstrings: ``H, W, 3``. A letter stands for one length of at least 1,
             the same wherever it occurs, and ``8H`` for eight times that.
-        non_finite: names of those that may hold NaN and infinities: motion and position (decision 3).
-        masks: names of those that may be bool or uint8, too.
+        non_finite: names of arrays that may hold NaN and infinities: motion and position (decision 3).
+        masks: names of arrays that may also be bool or uint8.
 
     Returns:
         The lengths, by letter.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The constants of the specification that a port may want as parameters: every backend takes them from here."""
+"""The constants of the specification that a port may take as parameters: every backend takes them from here."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 HoleTest = Literal["footprint", "paper"]
-"""How static surfaces are tested for holes: by the pixel's footprint, or by the paper's limits in cm, with which the authors' weights were
+"""The hole test of static surfaces: by the pixel's footprint, or by the paper's limits in cm, with which the authors' weights were
 trained (`stss_ref.holes.holes`)."""
 HOLE_TESTS: tuple[HoleTest, ...] = get_args(HoleTest)
 HoleFill = Literal["occlusion_warp", "reshade"]
-"""The stage that fills the holes of the newest colour frame: the paper's (`stss_ref.occlusion_warp`), or that which reads a hole's own
+"""The stage that fills the holes of the newest colour frame: the paper's (`stss_ref.occlusion_warp`), or the one that reads a hole's own
 surface and like materials around it (`stss_ref.reshade`)."""
 HOLE_FILLS: tuple[HoleFill, ...] = get_args(HoleFill)
 

@@ -13,7 +13,7 @@ from stss_ref.sample import follow, leads_inside, taps
 LUMA = (0.299, 0.587, 0.114)
 """Share of R, G and B in a luma (Rec. 601)."""
 PLACE = 0.25
-"""How far the four places of a pixel, the middles of its quarters, lie from its own in either axis; pixels."""
+"""Distance of the four places of a pixel, the middles of its quarters, from its own place in either axis; pixels."""
 OWN = 0.25
 """Weight of the pixel's own first colour at each of its places: that of a sample at the pixel's place."""
 
@@ -25,8 +25,8 @@ def detail(first: Image, stencil: Plane, frames: Sequence[tuple[Image, Image, Pl
     and ``t(d) = max(0, 1 - 2 |d|)``. The place's luma is ``(OWN Y(first(p)) + sum w Y(r)) / (OWN + sum w)``; the sums run over the
     samples that show an object of the same number, in the frames into which ``p + motion_i(p)`` leads.
 
-    Source: decision 37. Bilinear reading takes the mean of the samples around a place, so that it shows no detail of its own; here
-    each sample goes to the place that it lies at. Holes do not count: beyond a silhouette that moves as the pixel does, samples are right.
+    Source: decision 37. Bilinear reading takes the mean of the samples around a place, so it loses detail; here
+    each sample counts at its own place. Holes do not count: beyond a silhouette that moves as the pixel does, samples are right.
 
     Args:
         first: (H, W, 3) the network's first colour.

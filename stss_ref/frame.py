@@ -26,8 +26,8 @@ class FrameInputs:
 
     Attributes:
         colors: (3, H, W, 3) the three colour frames, newest first; display-referred, [0, 1].
-        steps: how many display frames back each lies; 0, 2, 4 for an SF; 1, 3, 5 for an EF. A step equal to the one before it stands
-            for a missing frame (spec 1): its mask is 0.
+        steps: the distance of each in display frames back; 0, 2, 4 for an SF; 1, 3, 5 for an EF. A step equal to the previous
+            one stands for a missing frame (spec 1): its mask is 0.
         motions: (k, H, W, 2) of frames t, t-1, ...; k at least the largest step; pixels, current -> previous.
         gbuffer: (H, W, 9) normal 3, depth (normalised), roughness, metallic, base colour 3.
         nov: (H, W) dot of normal and view vector.
@@ -117,7 +117,7 @@ def is_missing(steps: Sequence[int], i: int) -> bool:
 def warp_one(
     inputs: FrameInputs, i: int, motion: Image | None, test: HoleTest, limits: HoleLimits | None = None
 ) -> tuple[Image, Mask]:
-    """Colour frame ``i`` warped to the current one, and where to trust it: nowhere if it is missing.
+    """Colour frame ``i`` warped to the current one, and True where to trust it: nowhere if it is missing.
 
     Without motion the frame itself, trusted everywhere.
     """

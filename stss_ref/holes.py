@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Stage holes: which warped pixels show another surface than the one seen now."""
+"""Stage holes: find the warped pixels that show another surface than the current frame."""
 
 from __future__ import annotations
 
@@ -47,9 +47,9 @@ def holes(
         stencil_previous, stencil: (H, W) object number of the earlier frame and of this one; 0 = static.
         normal_previous, normal: (H, W, 3) world space.
         position_previous, position: (H, W, 3) world position; cm. A non-finite one counts as too far from any other.
-        nov: (H, W) dot of normal and view vector; the paper's test alone reads it, and depth.
+        nov: (H, W) dot of normal and view vector; only the paper's test reads it, and depth.
         depth: (H, W) normalised to [0, 1]; likewise.
-        test: which test of static surfaces.
+        test: the test of static surfaces.
         limits: the constants; None = the specification's.
 
     Returns:

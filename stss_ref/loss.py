@@ -19,7 +19,7 @@ def loss(output: Image, truth: Image, mask: Plane, perceptual: float = 0.0) -> f
     Args:
         output, truth: (2H, 2W, 3) display-referred.
         mask: (H, W) 1 = to be trusted, the RRM's rectangle included.
-        perceptual: the perceptual distance of ``output`` and ``truth``; which one is the trainer's choice.
+        perceptual: a perceptual distance of ``output`` and ``truth``; the trainer chooses it.
 
     Returns:
         The loss, >= 0. The sums run over pixels and channels alike.

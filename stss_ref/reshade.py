@@ -16,11 +16,11 @@ FOOTPRINTS = 2.0
 COSINE, STATIC_COSINE = 0.9, 0.5
 """Smallest cosine between the normals of a sample and a pixel that show the same moving object; static geometry."""
 RADIUS = 8
-"""How far, in rows and in columns, a hole looks for like materials; pixels."""
+"""Reach of a hole's search for like materials, in rows and in columns; pixels."""
 BASE_COLOR, NORMAL = 8.0, 2.0
-"""How fast a weight falls with the difference of base colours, and with the squared difference of normals."""
+"""Factors of the difference of base colours, and of the squared difference of normals, in a weight."""
 DISTANCE = 0.25
-"""How fast it falls on a background, which has neither, with the squared distance; pixels."""
+"""Factor of the squared distance, in pixels, in a weight on a background, which has neither."""
 
 
 def reshade(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Where motion leads in a frame, and bilinear reading there: shared by all image-space stages."""
+"""The places that motion leads to in a frame, and bilinear reading there: shared by all image-space stages."""
 
 from __future__ import annotations
 

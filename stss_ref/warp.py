@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Stage warp: an earlier frame seen from now."""
+"""Stage warp: an earlier frame, moved to the current one."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def warp(color: Image, motion: Image) -> tuple[Image, Mask]:
         motion: (H, W, 2) pixels, current -> earlier, x right, y down; non-finite is off screen and reads ``p`` itself.
 
     Returns:
-        warped: (H, W, C) as ``color``; outside the frame, the nearest border pixel. Holes keep what was read there.
+        warped: (H, W, C) as ``color``; outside the frame, the nearest border pixel. Holes keep the colour that was read.
         inside: (H, W) True where ``p + motion(p)`` lies in [0, W-1] x [0, H-1].
 
     Raises:

@@ -197,7 +197,7 @@ TENSORS: dict[str, tuple[int, ...]] = {name: shape for layer in LAYERS for name,
 def multiply_adds(height: int, width: int) -> dict[str, int]:
     """Multiply-adds of each layer for one frame of (height, width) padded to multiples of 8, by the layer's name.
 
-    Convolutions and gates are counted; biases, activations and whatever lies between the layers are not. The paper's
+    Convolutions and gates are counted; biases, activations and the operations between layers are not. The paper's
     31.50 G is this count at 968 x 544 (its authors pad a width of 960 by 8 more) plus 11 for each number that the
     decoder's three upsamplings produce.
     """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The paper's ablation: short runs from random weights that differ in one thing, and the mean PSNR of each over several seeds."""
+"""The paper's ablation: short runs from random weights that differ in one part, and the mean PSNR of each over several seeds."""
 
 from __future__ import annotations
 

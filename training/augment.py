@@ -23,7 +23,7 @@ from stss_ref.rrm import draw_rectangle, rrm
 Random = np.random.Generator
 Augment = Literal["all", "upright", "none"]
 AUGMENTS: tuple[Augment, ...] = get_args(Augment)
-"""The changes besides the crop: all of the above; all but those that no renderer's frames show; none."""
+"""The changes besides the crop: all of the above; all that a renderer's frames may show; none."""
 NORMAL = slice(3, 6)
 Y_UP = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]], np.float32)
 """Turns vectors of a world with z up into one with y up."""
@@ -37,7 +37,7 @@ COLORS = (slice(0, 3), slice(12, 15), slice(16, 19), slice(20, 23), ACROSS, DOWN
 EXPOSURE = 0.3
 """Largest change of exposure: natural logarithm of the factor on display-referred values."""
 MIDDLE, BACKGROUND = (0.04, 0.7), 0.999
-"""Where the middle depth of a crop is put, of what is nearer than the background."""
+"""Range of the new median depth of a crop, without the background."""
 
 
 class Batch(NamedTuple):
@@ -74,14 +74,14 @@ def augment(
 ) -> tuple[Array, Array]:
     """Turn and mirror crops, and change their exposure and colours, all alike; returns new float32 arrays.
 
-    ``upright`` leaves out what no renderer's frames show: a camera on its side or its head, and colours that changed places. They are
-    means against too few films; with enough of them, they cost what the network could learn in their place. ``none`` is for weights of
-    one scene, which may learn its light by its normals.
+    ``upright`` leaves out changes that no renderer's frames show: a camera on its side or its head, and colours that changed places. They
+    help against too few films; with enough films they waste the network's capacity. ``none`` is for weights of one scene, which may learn
+    its light by its normals.
 
     Args:
         inputs: (N, H, W, 35) or more channels.
         truth: (N, 2H, 2W, 3).
-        random: where chance comes from.
+        random: the source of random numbers.
         how: the changes.
         colors, motions: the channels of colours and of motions.
     """
@@ -115,8 +115,8 @@ def augment(
 def depths_at_random(depth: Array, random: Random) -> Array:
     """Depth (..., H, W) in 0..1 as if the farthest thing were at another distance; one crop in four stays as it is.
 
-    Depth is put between the smallest and the largest of a frame (spec 0): a wide plain presses all that matters into a twentieth of
-    the range, a room fills it. A network that saw the plain alone does not know the room's. Half of the crops
+    Depth is put between the smallest and the largest of a frame (spec 0): a wide plain presses all relevant depths into a twentieth
+    of the range, a room fills it. A network that saw only the plain does not know the room's. Half of the crops
     are multiplied, half raised to a power, which keeps far values apart. The background stays at 1.
     """
     keep, power, middle = random.random() < 0.25, random.random() < 0.5, math.exp(random.uniform(*np.log(MIDDLE)))
@@ -135,7 +135,7 @@ def turn_of_the_world(angle: float, *, mirrored: bool) -> NDArray[np.float32]:
 
 
 def mask_at_random(inputs: Array, random: Random) -> Array:
-    """The newest frame's mask (H, W) after RRM. The masks in the history, also the newest frame's, stay as they are."""
+    """The newest frame's mask (H, W) after RRM. The masks in the history, also the newest frame's, stay unchanged."""
     height, width, _ = inputs.shape
     return np.asarray(rrm(inputs[..., MASK], draw_rectangle(height, width, random)), inputs.dtype)
 

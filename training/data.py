@@ -23,7 +23,7 @@ Kind = Literal["SF", "EF"]
 KINDS: tuple[Kind, Kind] = ("SF", "EF")
 
 DRAWN = 3
-"""Crops drawn for each crop taken, which is the one with the most detail: half of an average frame is flat, and teaches little."""
+"""Crops drawn for each crop used, which is the one with the most detail: half of an average frame is flat, and teaches little."""
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The weights that a run begins with, and which of them it holds."""
+"""The weights at the start of a run, and those that stay fixed."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ OUTC = 0.05
 def initialise(network: nn.Module, seed: int) -> None:
     """He's initialisation with biases of 0, gates half open, and a small ``outc``: training starts near ``bilinear``.
 
-    ``outc`` does not start at 0: only noise would then reach the layers before it, and Adam scales noise up to full steps. The
-    history's gates shut for good that way, before there was anything to learn.
+    ``outc`` does not start at 0: only noise would then reach the layers before it, and Adam scales noise up to full steps. In this way
+    the history's gates closed for ever, before there was anything to learn.
     """
     generator = torch.Generator().manual_seed(seed)
     with torch.no_grad():
@@ -44,8 +44,8 @@ def initialise(network: nn.Module, seed: int) -> None:
 def hold_gates(network: Network) -> None:
     """Hold the gate of the history open (0.95 everywhere), and do not train it.
 
-    While the history's features are still noise, the quickest way to a smaller loss is to shut the one gate that they all pass. A
-    shut gate passes no gradient and never opens again. Three runs in a row lost the history that way.
+    While the history's features are still noise, the quickest way to a smaller loss is to close the one gate that they all pass. A closed
+    gate passes no gradient and never opens again. Three runs in a row lost the history in this way.
     """
     mask = network.get_submodule(f"{HISTORY}.conv_mask.0")
     with torch.no_grad():
@@ -68,7 +68,7 @@ def hold_history(network: Network) -> None:
 
 
 def forget_second_color(network: Network) -> None:
-    """Have the first layer take from the first colour what it took from the second, while both are the same; kernels of the second are 0.
+    """Move the first layer's kernels of the second colour to the first, while both colours are the same; those of the second become 0.
 
     The image of an SF then stays as it is when the second colour becomes another; from there training goes on.
     """

@@ -2,8 +2,8 @@
 """The training loss of spec section 6, and the perceptual term of our choice.
 
 The perceptual term is structural similarity (Wang 2004) of the luma, as `stss compare` takes it. It needs no trained
-network, so nothing is downloaded and no licence is inherited; it compares what the eye does (structure relative to the
-local contrast), where L1 is content with a blur; and the mix of the two is known to beat either alone, also by the measures of
+network, so there is no download and no foreign licence; like the eye, it compares structure relative to the local contrast,
+while L1 accepts a blur; and the mix of the two is known to beat either alone, also by the measures of
 the other (Zhao et al. 2017, Loss Functions for Image Restoration with Neural Networks).
 """
 

@@ -17,8 +17,8 @@ from stss_ref.constants import HoleFill
 from stss_ref.weights import LAYERS, TENSORS, Layer, SecondColor, Weights, check
 
 Without = Literal["", "history", "deep"]
-"""The parts that are not computed: none; the history, whose features are then the same everywhere (`hold_history`); or all that is
-below half size, which `training.prune` made worth nothing."""
+"""The parts that are not computed: none; the history, whose features are then the same everywhere (`hold_history`); or all
+below half size, which `training.prune` made constant."""
 
 
 HISTORY = "lowlevelGated"
@@ -219,7 +219,7 @@ def _near(height: int, width: int, like: Tensor) -> Tensor:
 
 
 class Heads(nn.ModuleDict):
-    """Layers that read a colour out of each deep feature, only in the first half of a training run; they are not part of the network.
+    """Layers that compute a colour from each deep feature, only in the first half of a training run; they are not part of the network.
 
     The shallow path learns first, and the deep features are noise to it then: its ReLUs shut them out, and with them the wider view,
     the history and the ERM. If the deep features must predict the truth themselves (Lee et al. 2015, Deeply-Supervised Nets), they

@@ -13,7 +13,8 @@ from stss_ref.arrays import Array
 Random = np.random.Generator
 _TABLE = 64
 FINEST = 5.0
-"""Shortest period of a pattern; cm. At 5 m, a pixel of a frame of 160 is about 4 cm wide: finer detail is noise that cannot be undone."""
+"""Shortest period of a pattern; cm. At 5 m, a pixel of a frame of 160 is about 4 cm wide: finer detail is noise that no network can
+remove."""
 EYE = (0.0, -420.0, 140.0)
 """Approximate place of the cameras; cm."""
 PIXEL = 0.0075

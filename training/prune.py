@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Put means in the place of all features below half size, and set the kernels that nothing reads then to exactly 0.
+"""Replace all features below half size by their means, and set the kernels that nothing reads afterwards to exactly 0.
 
-Programs leave out what only kernels of 0 read (`stss_cl.liveness.find_live`), so frames are computed faster, and with the same bits.
+Programs leave out layers that only kernels of 0 read (`stss_cl.liveness.find_live`), so frames are computed faster, and with the same bits.
 Numbers that are tiny become 0, too (`stss_cl.liveness.drop_tiny`).
 """
 

@@ -199,7 +199,7 @@ FILES = {"inputs.npy", "truth.npy", "index.json"}
 
 
 def require_shard(folder: Path, reads: Sequence[Path] = ()) -> None:
-    """Refuse to make a shard in the place of anything else: the folder that is there is removed when the new one is whole.
+    """Refuse to replace anything but a shard: the existing folder is removed when the new one is complete.
 
     Args:
         folder: absent, or a shard.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""FXAA: smooth the edges of one image by its luma alone."""
+"""FXAA: smooth the edges of one image, by only its luma."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ LUMA = (0.299, 0.587, 0.114)
 CONTRAST, DARKEST = 0.125, 0.0312
 """Least contrast of an edge: as a share of the brightest luma around it, and absolute."""
 ENDS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 14, 18, 26)
-"""Distances along the edge, in pixels, at which its end is looked for."""
+"""Distances along the edge, in pixels, of the search for its end."""
 SOFTNESS = 0.75
 """Share of a single pixel's contrast that is removed; 0 to 1."""
 
 
 def fxaa(image: Image) -> Image:
-    """Blend each pixel on an edge with its neighbour across, as much as the edge's slope calls for.
+    """Blend each pixel on an edge with its neighbour across, by a share that the edge's slope gives.
 
     A pixel is on an edge where the luma of its neighbourhood varies. The edge lies between it and the neighbour across with the
     larger gradient; both ends are looked for along it. With distances ``a <= b`` to the ends, the share ``1/2 - a / (a + b)`` of that

@@ -28,7 +28,7 @@ Method = Callable[[FrameInputs, NetworkInputs], Image]
 
 
 def bilinear(_: FrameInputs, prepared: NetworkInputs) -> Image:
-    """The image that the network adds its residual to: the newest frame, in an EF warped to now, upsampled."""
+    """The image that the network adds its residual to: the newest frame, in an EF warped to the current one, upsampled."""
     return upsample_centres(prepared.color[..., :3])
 
 
@@ -67,7 +67,7 @@ ACCUMULATING = frozenset({"taau"})
 
 
 LIMITS = HoleLimits(static_cosine=-np.inf)
-"""A surface that turned is no hole here: temporal upsampling loses 0.2 to 0.5 dB where silhouettes start anew."""
+"""A surface that turned is no hole here: temporal upsampling would lose 0.2 to 0.5 dB if silhouettes lost their history."""
 
 
 class MethodBackend(OnArrays):
@@ -76,7 +76,7 @@ class MethodBackend(OnArrays):
     name = "numpy"
 
     def __init__(self, method: str):
-        """Take the method of this name; raises InputError where there is none."""
+        """Take the method of this name; raises InputError if there is none."""
         if method not in METHODS:
             raise InputError(f"method: expected one of {', '.join(METHODS)}, got {method!r}")
         self.method, self.accumulates = method, method in ACCUMULATING
@@ -111,7 +111,7 @@ def open_method(
         The backend and the label of its weights.
 
     Raises:
-        InputError: there is no such method, or the options do not go together.
+        InputError: there is no such method, or the options do not fit each other.
     """
     if method != NETWORK:
         return MethodBackend(method), NO_WEIGHTS

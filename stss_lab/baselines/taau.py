@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Temporal antialiasing with upsampling: the image shown before, moved along and corrected by the current frame."""
+"""Temporal antialiasing with upsampling: the previous image, moved by motion and corrected by the current frame."""
 
 from __future__ import annotations
 
@@ -26,20 +26,20 @@ class Taau:
     """Accumulates at display resolution; frames must come in display order.
 
     ``shown_t(p) = h + max(trust(p) / n(p), 1 / 24) (current(p) - h)``, ``h = clamp(shown_{t-1}(p + motion(p)), box(p))``. ``current``
-    is the newest rendered frame, in an EF warped to now as the network gets it, upsampled by Lanczos's kernel and clamped to ``box``:
-    the smallest and the largest value of each channel in the 3 x 3 low-resolution pixels around ``p``. ``trust`` is 1 where a sample
-    lies and falls to 0.25 with the distance in low-resolution pixels; ``n`` counts the frames in ``h``, at most 24, and is led along
-    like the image. Off screen, where no earlier frame is within reach, and without jitter in the warping holes (of an SF: those of the
-    second of its three colour frames), ``current`` is shown: a cut starts it anew. With jitter the holes' test calls much a hole that
-    is none, and the box is enough.
+    is the newest rendered frame, in an EF warped to the current one as for the network, upsampled by Lanczos's kernel and clamped to
+    ``box``: the smallest and the largest value of each channel in the 3 x 3 low-resolution pixels around ``p``. ``trust`` is 1 where a
+    sample lies and falls to 0.25 with the distance in low-resolution pixels; ``n`` counts the frames in ``h``, at most 24, and moves with
+    the image. Off screen, where no earlier frame is within reach, and without jitter in the warping holes (of an SF: those of the second
+    of its three colour frames), only ``current`` is shown: a cut starts a new history. With jitter the hole test marks many visible
+    pixels as holes, and the box is enough.
 
-    With a jittered camera all that is of low resolution is read at ``p`` plus the frame's offset.
+    With a jittered camera all planes of low resolution are read at ``p`` plus the frame's offset.
 
     Source: Karis, High Quality Temporal Supersampling, SIGGRAPH 2014; Lanczos, its clamping, trust and count as in AMD's FSR 2.
 
     Args:
-        jitter: the offset of each display frame's picture in low-resolution pixels (x right, y down), which motion has, too; in an EF
-            that of its G-buffer. Without: none.
+        jitter: the offset of each display frame's picture in low-resolution pixels (x right, y down), which motion includes; in an EF
+            that of its G-buffer. Empty: no jitter.
     """
 
     def __init__(self, jitter: Iterable[tuple[float, float]] = ()) -> None:

@@ -27,7 +27,7 @@ class Setup:
         weights: the 92 tensors.
         height, width: H, W of the inputs; any size, pixels.
         device: part of the name of the OpenCL device, for contenders that use one; None: the default.
-        threads: most threads of a contender on the CPU, where the engine lets us set them.
+        threads: most threads of a contender on the CPU, if the engine has such a setting.
         dark: whether colours are so small that they, or products of them, are subnormal.
     """
 
@@ -40,12 +40,12 @@ class Setup:
 
 
 class Contender(Protocol):
-    """One way of computing the network or whole frames, which the benchmark times.
+    """One way to compute the network or whole frames, which the benchmark times.
 
     Attributes:
         details: facts that the numbers depend on: package, precision, layout.
 
-    A contender whose ``run`` computes several frames says how many in ``frames``; the time of one is reported.
+    If ``run`` computes several frames, ``frames`` is their number; the time of one is reported.
     """
 
     details: dict[str, str]

@@ -2,7 +2,7 @@
 """``stss gpu-report``: test and time everything on a GPU by one command, into one folder.
 
 Each step is an ``stss`` or test command in its own session with its own time limit, so that a driver that hangs or ends the process
-costs that step alone, and none of its processes outlives it. The page is written anew after each step.
+costs only that step, and none of its processes survives it. The page is written again after each step.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ PACKAGES = ("numpy", "pyopencl", "torch", "onnxruntime", "onnxruntime-gpu", "ten
 TESTS = tuple(
     f"tests/cl/test_{n}.py" for n in ("device", "conv_gpu", "network", "image_stages", "frame", "combinations", "stream")
 )
-"""Tests, in the order that shows a fault soonest; those that do not fit the time limit do not run."""
+"""Tests, in the order that shows a fault soonest; tests beyond the time limit do not run."""
 
 OURS = "cl,cl-direct,cl-half,cl-host,cl-frame,cl-stream,cl-stream-ahead"
 PEERS = (
@@ -43,7 +43,7 @@ PEERS = (
 )
 
 PATIENCE = 4
-"""Of a tiny report: its limits in those of a GPU, since a processor takes longer for the kernels of GPUs."""
+"""Factor of the time limits in a tiny report, since a processor takes longer for the kernels of GPUs."""
 
 Outcome = Literal["passed", "failed", "over its limit", "skipped"]
 
@@ -54,7 +54,7 @@ class Step:
 
     Attributes:
         name: names its log, too.
-        command: None where it cannot run here, for ``reason``.
+        command: None if it cannot run here, for ``reason``.
         limit: most seconds that it may take.
         reason: why there is no command.
     """
@@ -88,7 +88,7 @@ def steps(folder: Path, device: str, *, tiny: bool) -> list[Step]:
     Args:
         folder: the steps write their files there.
         device: full name of the device.
-        tiny: take sizes and counts that only show that every step runs.
+        tiny: take small sizes and counts, which only check that every step runs.
     """
     size, few, tests = ("64x48", "2", TESTS[:1]) if tiny else ("960x544", "20", TESTS)
     here, to = ("--device", device, "--size", size), folder.absolute()
@@ -150,7 +150,7 @@ def gpu_report(folder: Path, device: str | None, *, tiny: bool, console: Console
         console: where progress is shown.
 
     Returns:
-        Whether nothing is wrong.
+        Whether there is no fault.
 
     Raises:
         InputError: the folder is not empty.
@@ -200,7 +200,7 @@ def _run(step: Step, log: Path, device: str) -> StepResult:
 
 
 def find_slower(path: Path) -> list[str]:
-    """Of the benchmark's JSON: contenders that failed, and peers of the same precision that are faster than the network."""
+    """From the benchmark's JSON: contenders that failed, and peers of the same precision that are faster than the network."""
     if not path.exists():
         return []
     rows = json.loads(path.read_text(encoding="utf-8"))["sizes"][0]["rows"]

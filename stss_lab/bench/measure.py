@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Measure the time of a frame by our code and by other engines, and the error of each: `stss bench`.
 
-Every contender, ours or a peer, lives in its own process, so that its memory is its own and its threads sleep while another runs.
+Every contender, ours or a peer, has its own process, so that its memory is separate and its threads sleep while another runs.
 Contenders are timed in turns, A B C A B C, so that a load on the machine slows all of them.
 """
 
@@ -45,7 +45,7 @@ class Timing:
         cpu_times: seconds of processor time that its process used in each run, divided by the number of threads. They equal ``times``
             on a quiet machine if all threads always have work.
         error: largest difference from the float64 reference on the same inputs, output units; None for a contender that failed.
-        peak_memory: most bytes that its process had in memory, with Python and libraries; None where the system doesn't say.
+        peak_memory: most bytes that its process had in memory, with Python and libraries; None if the system does not say.
         stages: seconds of each stage; empty for contenders that measure none.
         details: package versions, precision, layout.
         fault: why there is no result; None if there is one.
@@ -81,7 +81,7 @@ class SizeResult:
     rows: tuple[Timing, ...]
 
     def shares(self, row: Timing) -> dict[str, float]:
-        """Times of ``row`` / times of the first peer, by the names in ``SUMMARY``; empty where the two do not compare."""
+        """Times of ``row`` / times of the first peer, by the names in ``SUMMARY``; empty if the two cannot be compared."""
         base = next((r for r in self.rows if r.name in PEERS and not r.fault), None)
         if base is None or row.fault or row.name in FRAMES:
             return {}
@@ -122,7 +122,7 @@ def bench(
 
 
 def count_steps(setups: Sequence[Setup], ours: Sequence[str], peers: Sequence[str], repeat: int) -> int:
-    """How often `bench` calls ``on_step``."""
+    """The number of calls of ``on_step`` by `bench`."""
     return len(setups) * (1 + len({*ours, *peers}) + repeat)
 
 

@@ -180,6 +180,6 @@ class _Exporter(_Graph):
         return self.op("Reshape", x, self.integers(1, -1, self.height // 8, self.width // 8))
 
     def resize(self, x: str, scale: float, grid: str) -> str:
-        """Resize bilinearly, without a prefilter; ``grid`` is ONNX's name for where samples lie."""
+        """Resize bilinearly, without a prefilter; ``grid`` is ONNX's name for the places of samples."""
         scales = self.constant(f"scale{scale}", np.array([1, 1, scale, scale], np.float32))
         return self.op("Resize", x, "", scales, mode="linear", coordinate_transformation_mode=grid)

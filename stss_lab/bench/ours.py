@@ -91,11 +91,11 @@ class OpenCL:
 
 
 class Streamed:
-    """``stss_cl.Stream`` on display frames, NumPy arrays of which each comes to the device once; SF and EF in turns, each computed whole.
+    """``stss_cl.Stream`` on display frames, NumPy arrays, each uploaded once; SF and EF in turns, each computed whole.
 
     Args:
         setup: weights and device.
-        ahead: each frame is begun before the one before it is handed out; else one call a frame.
+        ahead: each frame starts before the previous one is returned; else one call a frame.
     """
 
     frames = 24

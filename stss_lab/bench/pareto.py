@@ -46,7 +46,7 @@ JUDGED = 2
 
 SETTINGS = tuple(ComputeOptions(precision=precision, skip=skip) for precision in PRECISIONS for skip in ("off", "exact"))
 FULL: Precision = "float32"
-"""The precision without skipping from whose images those of all settings depart."""
+"""The precision, without skipping, whose images all settings are compared with."""
 
 
 def chosen_settings(words: Sequence[str] | None) -> tuple[ComputeOptions, ...]:
@@ -87,7 +87,7 @@ class Point:
 
     @property
     def share(self) -> float:
-        """Of the time without skipping: of sums over the sequence, since its frames differ in cost."""
+        """The share of the time without skipping, by sums over the sequence, since its frames differ in cost."""
         return sum(self.times) / sum(self.full)
 
 
@@ -132,7 +132,7 @@ def to_json(results: Mapping[str, Sequence[Point]], setup: Setup, weights: str) 
 
     Args:
         results: of `bench_pareto`.
-        setup: the one that it had.
+        setup: its setup.
         weights: identity of its weights.
     """
     data = {
@@ -211,7 +211,7 @@ def compare_setting(
     frames: Sequence[DisplayFrame],
     judged: dict[int, tuple[Image, Image]],
 ) -> Point:
-    """Run a setting beside the streams that it is compared with; ``judged``: number -> the reference's image, and the scene's."""
+    """Run a setting in turns with the streams for comparison; ``judged``: number -> the reference's image, and the scene's."""
     tried = Stream(weights, device, setting.precision, skip=setting.skip)
     off = Stream(weights, device, setting.precision, skip="off")
     streams = [tried, off] if setting.precision == FULL else [tried, off, Stream(weights, device, FULL, skip="off")]

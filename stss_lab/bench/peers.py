@@ -21,7 +21,7 @@ from stss_ref.arrays import Array
 
 
 class PyTorch(Peer):
-    """PyTorch, in the memory format channels_last: it is twice as fast as the default on CPUs, and the one that tensor cores take.
+    """PyTorch, in the memory format channels_last: it is twice as fast as the default on CPUs, and tensor cores need it.
 
     Args:
         setup: weights, size and threads.
@@ -191,7 +191,7 @@ class Mnn(Peer):
         self._inputs = inputs
 
     def run(self) -> None:
-        """See `Contender`; inputs are copied each time, for a run writes over them."""
+        """See `Contender`; inputs are copied each time, since a run overwrites them."""
         for name, array in self._inputs.items():
             self._interpreter.getSessionInput(self._session, name).copyFrom(self._tensor(array))
         self._interpreter.runSession(self._session)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The network in PyTorch's own functions, the yardstick of the benchmark. It shares only the graph and the tensors with ours."""
+"""The network in PyTorch's own functions, for comparison in the benchmark. It shares only the graph and the tensors with ours."""
 
 from __future__ import annotations
 

@@ -122,14 +122,14 @@ def require_names(names: Sequence[str], others: Sequence[Path]) -> None:
 
 
 def require_same_frames(folder: Path, truth: Path, sequence: Frames, frames: tuple[int, int] | None) -> None:
-    """Raise InputError if a folder lacks frames that the methods will have: means would not be of the same frames."""
+    """Raise InputError if a folder lacks frames of the methods: the means would be over different frames."""
     *_, lacks = find_pairs(folder, truth, frames)
     if missing := {*lacks} & {*sequence.numbers}:
         raise InputError(f"{folder}: expected the frames of the other methods; {list_numbers(missing)} not there")
 
 
 def holes_of(methods: Sequence[str]) -> str:
-    """The method over whose warping holes all are scored: weights choose how holes are found, so masks may differ."""
+    """The method over whose warping holes all methods are scored: weights choose the hole test, so masks may differ."""
     return NETWORK if NETWORK in methods else methods[0]
 
 
@@ -172,7 +172,7 @@ def cells(results: Sequence[MethodResult]) -> tuple[list[tuple[str, str]], list[
 
 
 def caption(results: Sequence[MethodResult]) -> str:
-    """A line that says over which frames the table's numbers are means."""
+    """A line about the frames over which the table's numbers are means."""
     counts = {mean.name: mean.frames for mean in results[0].comparison.means}
     share = results[0].comparison.holes
     holes = "" if share is None else f"; holes are those of {holes_of([r.method for r in results])}, {share:.1%} of the pixels"

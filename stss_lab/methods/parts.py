@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""`stss parts`: the worth of each of the paper's parts: trained weights without it."""
+"""`stss parts`: the gain by each of the paper's parts: trained weights with and without it."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def network(inputs: NetworkInputs, weights: Weights, *, mean_erm: bool) -> Image
 
 @dataclass(frozen=True)
 class PartsResult:
-    """The scores of weights: of the whole, and without each part."""
+    """The scores of a set of weights: of the whole network, and without each part."""
 
     weights: str
     whole: Comparison
@@ -110,13 +110,13 @@ def take_away(
     *,
     on_frame: Callable[[str], None] = lambda name: None,
 ) -> list[PartsResult]:
-    """Run each weights whole and without each part, into ``out/WEIGHTS/PART``, and compare all with the truth.
+    """Run each set of weights whole and without each part, into ``out/WEIGHTS/PART``, and compare all with the truth.
 
     Args:
         sequence: the input.
         truth: folder of the frames that outputs should equal.
         out: folder; made if need be.
-        weights: their names, without folder and ending, must differ.
+        weights: names without folder and ending must differ.
         parts: some of ``PARTS``.
         options: as for ``stss run``.
         on_frame: called with the part when a frame has been made or compared.
@@ -149,7 +149,7 @@ def _result(name: str, rows: Sequence[MethodResult]) -> PartsResult:
 
 
 def print_parts(results: Sequence[PartsResult], console: Console) -> None:
-    """Print a row for each weights, PSNR over RGB, and one for each part, the difference that it makes."""
+    """Print a row for each set of weights, PSNR over RGB, and one for each part, the difference without it."""
     table = Table(box=box.SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0))
     for heading in ("weights", "without", *COLUMNS):
         table.add_column(heading, justify="left" if heading in ("weights", "without") else "right", no_wrap=True)

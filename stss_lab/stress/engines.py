@@ -96,7 +96,7 @@ class OpenCLEngine:
         return {n: read(self._device, buffers[buffer], first, count) for n, (buffer, first, count) in places.items()} | image
 
     def _layers(self, height: int, width: int) -> Any:
-        """Those of the last weights, with the ones too that the image does not need."""
+        """The layers of the last weights, including those that the image does not need."""
         from stss_cl.network.layers import Layers
 
         return Layers(self._device, self._weights, height, width, self._precision, every=True)  # pyright: ignore[reportArgumentType]

@@ -2,7 +2,7 @@
 """The inputs of `stss stress`.
 
 Inputs are noise: nothing is flat or still. The inputs of a later stage are the outputs of earlier ones in float64, rounded to float32, so
-that they have the magnitude that they have in a frame.
+that they have the same magnitude as in a frame.
 """
 
 from __future__ import annotations

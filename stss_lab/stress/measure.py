@@ -39,7 +39,7 @@ def check_names(only: Sequence[str]) -> None:
 
 
 def make_plan(device: Any, weights: Weights | None) -> StressPlan:
-    """Plan the measurements: about half a minute on two cores.
+    """Plan the measurements, of about half a minute on two cores.
 
     Args:
         device: an open ``stss_cl.device.discovery.Device``; None: the reference alone.

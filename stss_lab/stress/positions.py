@@ -61,7 +61,7 @@ def _pairs(seed: int, far: float, limit: float) -> tuple[Array, Array, Array]:
 
 
 def _stored(here: Array, there: Array, dtype: str) -> tuple[Array, Array]:
-    """Both as a file of this dtype stores them; a number too large for half becomes NaN."""
+    """Both arrays as a file of this dtype stores them; a number too large for half becomes NaN."""
     with np.errstate(over="ignore"):
         rounded = [p.astype(dtype).astype(np.float64) for p in (here, there)]
     return np.where(np.isfinite(rounded[0]), rounded[0], np.nan), np.where(np.isfinite(rounded[1]), rounded[1], np.nan)

@@ -19,7 +19,7 @@ LIGHT = (1.0, 1e-10, 1e-20, 1e-38, 1e-42, 0.0)
 RUNS = 5
 """Runs of each, of which the fastest counts."""
 GROWTH = 2
-"""The frames' sides over those of the plan: the time before a launch then hardly counts."""
+"""The frames' sides over those of the plan: then the time before a launch is negligible."""
 
 
 def subnormal(plan: StressPlan) -> StressTable:

@@ -59,7 +59,7 @@ def _sweep(
 
 
 def magnitude(plan: StressPlan) -> StressTable:
-    """Inputs 1e-6 to 1e6 times as large as they should be."""
+    """Inputs 1e-6 to 1e6 times as large as usual."""
     inputs_of = [stage_inputs(s, *plan.size, plan.weights_of(s)) | image_noise(s, *plan.size) for s in range(plan.seeds)]
     weights = [plan.weights_of(s) for s in range(plan.seeds)]
 

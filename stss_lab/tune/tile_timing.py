@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Time layers like the network's with any tile sizes, after comparing their results with the plain kernel's."""
+"""Time layers like the network's with given tile sizes, after comparing their results with the plain kernel's."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ CHECKED = (45, 75)
 """Output size (H, W) at which a candidate is compared with the plain kernel: no tile size divides it, and it has several strips."""
 PLAIN = Direct(1, 1, 1)
 INTEL = "Intel(R) OpenCL:"
-"""Its compiler takes minutes for one kernel of half storage with vectors of 16, which would be chosen here for all precisions."""
+"""Intel's compiler takes minutes for one kernel of half storage with vectors of 16, and a row holds for all precisions."""
 
 Sizes = Winograd | Direct | Local
 
@@ -112,7 +112,7 @@ class Trials:
         return sum(shape.count * self.times[shape].get(sizes, np.inf) for shape in shapes)
 
     def totals(self, kind: type[Sizes], shapes: Sequence[LayerShape]) -> dict[Sizes, float]:
-        """The total of all sizes of this kind that were timed."""
+        """The totals of all timed sizes of this kind."""
         tried = dict.fromkeys(c for shape in shapes for c in self.times[shape] if isinstance(c, kind))
         return {sizes: self.total(sizes, shapes) for sizes in tried}
 
@@ -180,7 +180,7 @@ class _Layer:
         return read(self._device, self._out)
 
     def fault(self, sizes: Sizes, want: Array) -> str:
-        """The reason why these sizes must not be used, in a few words; "" if they may."""
+        """The reason against these sizes, in a few words; "" if they may be used."""
         try:
             error = ratio("stage.cl", self.run(sizes), want)
         except (DeviceError, cl.Error) as fault:

@@ -25,7 +25,7 @@ ROUNDS = 8
 """Interleaved timings of each candidate."""
 
 Choice = Sizes | str | None
-"""Tile sizes, the name of a kernel, or None where a row has none."""
+"""Tile sizes, the name of a kernel, or None if a row has none."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Line:
 
     @property
     def new(self) -> bool:
-        """Whether the other one wins."""
+        """Whether the other choice wins."""
         return self.seconds[1] * MARGIN < self.seconds[0]
 
     @property

@@ -30,7 +30,7 @@ TRACKS = (
 )  # fmt: skip
 VALIDATION = ("scotland", "zengarden")
 HELD_OUT = ("candela_city", "black_forest")
-"""No clip of these is made: views of them are measured."""
+"""No clip shows these, since views of them are measured."""
 SURFACES = (
     "castelwall.jpg", "beige_bricks.jpg", "city_bricks.png", "cottage_wall1.jpg", "dark-wall-wood.png", "dirtbrick.png", "marble.jpg",
     "oldWood.png", "Paving_stones_2.jpg", "pyramidwall.jpg", "rockwall.jpg", "stk_corrugMetal_a.png", "stk_generic_brickRoad_a.png",

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Methods that know the camera's jitter, as backends: our `taau`, and the temporal upsamplers that others made."""
+"""Methods that take the camera's jitter, as backends: our `taau`, and the temporal upsamplers that others made."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from stss_ref.arrays import Image, Mask, Plane
 from stss_ref.frame import prepare
 
 Offset = tuple[float, float]
-"""How far jitter shifts a frame's picture in low-resolution pixels, x right, y down."""
+"""The shift of a frame's image by jitter in low-resolution pixels, x right, y down."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class Jittered:
     """The inputs of a temporal upsampler of a frame.
 
     Attributes:
-        color: (H, W, 3) linear, in [0, 1]; in an EF the newest rendered frame, warped to now.
+        color: (H, W, 3) linear, in [0, 1]; in an EF the newest rendered frame, warped to the current one.
         motion: (H, W, 2) low-resolution pixels, current -> previous, without jitter.
         depth: (H, W) view depth in the renderer's unit, > 0; 1e9 where nothing was hit.
         offset, before: of this picture and of the one before.
