@@ -46,7 +46,7 @@ def pytest_collection_finish():
 
 
 def pytest_terminal_summary(terminalreporter):
-    """The last lines say what was left out, and why."""
+    """The last lines name the skipped tests, with reasons."""
     reasons = {
         (report.nodeid, report.longrepr[2].removeprefix("Skipped: ")) for report in terminalreporter.stats.get("skipped", [])
     }

@@ -1,4 +1,4 @@
-"""Run tests/cl on every OpenCL runtime that can be had here, each by itself, and print a table.
+"""Run tests/cl on every available OpenCL runtime, each alone, and print a table.
 
 Wheels are installed into a virtual environment of their own: no root. Runtimes of the system are used where they are
 installed: Debian's are pocl-opencl-icd, mesa-opencl-icd and oclgrind. Standard library only: the tests run in the

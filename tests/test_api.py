@@ -1,4 +1,4 @@
-"""docs/api.md and the code: the page has exactly what the packages hand on."""
+"""docs/api.md and the code: the page has exactly the public names of the packages."""
 
 import importlib
 import re

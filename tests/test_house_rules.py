@@ -1,4 +1,4 @@
-"""The rules of CONTRIBUTING.md that a machine can hold us to."""
+"""The rules of CONTRIBUTING.md that a machine can check."""
 
 import ast
 import re
@@ -57,7 +57,7 @@ def test_imports_go_one_way(package):
 
 
 def test_training_has_the_networks_graph_and_no_kernels():
-    """Of the backend only what imports no OpenCL."""
+    """Training imports only those modules of the backend that import no OpenCL."""
     modules = {module for _, module in imports_of("training") if module.split(".")[0] == "stss_cl"}
     assert modules == {"stss_cl.graph", "stss_cl.liveness"}
 

@@ -1,4 +1,4 @@
-"""A page in a headless Chromium, and what a script finds in it."""
+"""A page in a headless Chromium, and the result of a script in it."""
 
 import html
 import json
@@ -24,12 +24,12 @@ shown.onload = async () => {{
 
 
 def find_browser():
-    """The browser's program; None where there is none."""
+    """The browser's program; None if there is none."""
     return next((path for name in NAMES if (path := shutil.which(name))), None)
 
 
 def ask(path, script, width=1280, more=("--disable-gpu",)):
-    """What a script returns that runs beside the page; it has ``view``, ``page``, ``press(key)`` and ``text(selector)``."""
+    """The result of a script that runs beside the page; the script has ``view``, ``page``, ``press(key)`` and ``text(selector)``."""
     outer = path.with_name(f"outer-{path.name}")
     outer.write_text(OUTER.format(src=path.resolve().as_uri(), width=width, script=script))
     options = ("--headless=new", "--no-sandbox", *more, "--allow-file-access-from-files")

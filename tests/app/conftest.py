@@ -1,4 +1,4 @@
-"""A small sequence on disk, in the project's own layout; a browser where there is one."""
+"""A small sequence on disk, in the project's own layout; a browser, if there is one."""
 
 from pathlib import Path
 
@@ -52,7 +52,7 @@ def write_frames(tmp_path):
         for number in numbers:
             channels = frame_channels(number, size, rendered is None or number in rendered)
             channels = (change(number, channels) if change else None) or channels
-            # Not through write_channels where a test wants values that it refuses to write.
+            # Not by write_channels if a test needs values that it refuses to write.
             write_raw(tmp_path / folder / f"{stem}.{number:04d}.exr", channels, half)
         return tmp_path / folder
 
@@ -94,7 +94,7 @@ def write_parts(path, *parts, number_type=None):
 
 
 def files(folder):
-    """Every file below, by its path; a link counts as what it says, a folder as none."""
+    """Every file below, by its path; a link counts as its text, and folders do not count."""
     paths = {path.relative_to(folder).as_posix(): path for path in Path(folder).rglob("*")}
     return {n: p.readlink() if p.is_symlink() else p.read_bytes() for n, p in paths.items() if p.is_symlink() or p.is_file()}
 
@@ -106,7 +106,7 @@ def frames_of(out):
 
 @pytest.fixture(scope="session")
 def blender_camera(tmp_path_factory):
-    """Where the camera of the Blender reference is, frame by frame."""
+    """The positions of the Blender reference's camera, frame by frame."""
     table = tmp_path_factory.mktemp("camera") / "camera.csv"
     lines = ["frame,x,y,z"]
     for frame in range(1, 15):
@@ -118,7 +118,7 @@ def blender_camera(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def ask():
-    """`browser.ask`; tests that want it are skipped where no browser is installed."""
+    """`browser.ask`; tests that need it are skipped if no browser is installed."""
     if browser.find_browser() is None:
         pytest.skip(f"no browser: none of {', '.join(browser.NAMES)} is installed")
     return browser.ask

@@ -10,7 +10,7 @@ from stss_cl.device.discovery import CLASSES, DeviceError, open_device
 from stss_cl.options import PRECISIONS
 
 QUICK = tuple(precision for precision in PRECISIONS if precision != "bfloat16")
-"""Precisions that no device has to emulate: frames of bfloat16 are computed where that shows more than other tests do."""
+"""Precisions that no device must emulate: frames of bfloat16 run only in tests that need them."""
 UNITS = 1024
 """Compute units of a processor that is treated as a GPU: more than a test's frame has tiles, as on a GPU. Layers with few tiles for
 the units have smaller ones; so frames of all sizes have the same kernels, and each is compiled once."""
@@ -30,7 +30,7 @@ def device(request):
 
 @pytest.fixture(scope="session")
 def processor():
-    """The same, treated as a processor, for what only the kernels of processors know: tile sizes of Winograd, vectors."""
+    """The same, treated as a processor, for features of the kernels of processors alone: tile sizes of Winograd, vectors."""
     return opened_as("cpu")
 
 
@@ -75,7 +75,7 @@ def unoptimised(monkeypatch):
 
 @pytest.fixture
 def launched(monkeypatch):
-    """The names of the kernels, in order, that would have been launched from now on."""
+    """The names of the kernels that are launched from now on, in order."""
     return launch_nothing(monkeypatch)
 
 

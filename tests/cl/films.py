@@ -15,9 +15,9 @@ from stss_ref.weights import random as random_weights
 
 WEIGHTS = random_weights(3)
 UNREAD = WEIGHTS | {n: w * 0 for n, w in WEIGHTS.items() if n.startswith("lowlevelGated.") and n.endswith(".weight")}
-"""The same, but that do not read the history."""
+"""The same weights, without reading the history."""
 DETAILED = Weights(UNREAD, "detail", hole_fill="reshade")
-"""The same again, whose second colour is what warped frames show within a pixel, and whose holes are reshaded."""
+"""The same again, with detail as the second colour, and with reshaded holes."""
 CHANGES = ("nothing", "nothing", "pixel", "color", "rectangle", "moving", "everything")
 SIZE = 24, 40
 MIXED = (*5 * ["nothing"], "nothing", "pixel", "moving", "nothing", "rectangle")
@@ -47,7 +47,7 @@ def frame_inputs(size, seed=0, steps=(1, 3, 5), **others):
 
 
 def uneven(size, seed=0):
-    """Stencils, normals and positions of a surface that is another one everywhere."""
+    """Stencils, normals and positions that show another surface at every pixel."""
     random = np.random.default_rng(seed)
     stencils = random.random((4, *size)) > 0.8
     return {"stencils": stencils, "normals": random.random((4, *size, 3)), "positions": 30 * random.random((4, *size, 3))}

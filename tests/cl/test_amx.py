@@ -1,4 +1,5 @@
-"""Convolutions on a processor's matrix units, emulated here: the bits that the units must give, and who is trusted with them."""
+"""Convolutions on a processor's matrix units, emulated here: the bits that the units must give, and the devices that are trusted with
+them."""
 
 from types import SimpleNamespace
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What is found in a display frame that arrives, against NumPy."""
+"""The findings about a newly uploaded display frame, against NumPy."""
 
 import numpy as np
 from hypothesis import given

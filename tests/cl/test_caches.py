@@ -1,4 +1,4 @@
-"""Folders for compiled kernels: private ones, wherever there is a place for them, and no code of others in them."""
+"""Folders for compiled kernels: private ones, at any possible place, without code of other users."""
 
 import os
 import shutil

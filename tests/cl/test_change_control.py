@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: MIT
-"""When changes are looked for: literal sequences, so that another one is never an accident; what comes out never depends on them."""
+"""The frames in which the stream looks for changes, as literal sequences, so that a new one is never an accident; images do not depend on
+it."""
 
 from dataclasses import replace
 
@@ -26,7 +27,8 @@ def decisions_of(stream, frames, plain=None):
 
 
 def test_where_something_changes(gpu):
-    """What changed is computed. After eight frames that changed everywhere nobody looks until the 48th; then all that moved is computed."""
+    """What changed is computed. After eight frames that changed everywhere the stream does not look until the 48th; then all that moved
+    is computed."""
     assert decisions_of(Stream(WEIGHTS, gpu), STOPS) == 55 * "w" + 5 * "c" + 9 * "n" + 20 * "c" + 30 * "w"
 
 
@@ -36,7 +38,7 @@ def test_where_something_changes(gpu):
     ids=["read", "unread"],
 )
 def test_a_camera_that_stops(processor, weights, decisions, monkeypatch):
-    """The bits are those of `off`, also in the frames for whose changes nobody looked, and in those after them."""
+    """The bits are those of `off`, also in the frames without a look for changes, and in those after them."""
     frames = list(display_frames(SCENES["pan"], (40, 64), 28))
     last, colored = frames[-1], frames[-2].color
     for i in range(28, 44):

@@ -1,4 +1,4 @@
-"""Every way to gather, to skip and to store, on both classes of device, on small frames: in pairs that have each of them."""
+"""Every way to gather, to skip and to store, on both classes of device, on small frames; all pairs of values occur."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Activations in half: the bits of IEEE 754, by arithmetic or by the processor's instructions, and who is trusted with these."""
+"""Activations in half: the bits of IEEE 754, by arithmetic or by the processor's instructions, and the processors that are trusted with
+these."""
 
 import numpy as np
 import pytest

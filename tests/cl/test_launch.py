@@ -1,4 +1,4 @@
-"""Kernels take their arguments by name: whatever order their source has, and with one line where a name or a type is wrong."""
+"""Kernels take their arguments by name, in any order of their source, and with one line if a name or a type is wrong."""
 
 import re
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What the backend hands over of its layers: right by the judge's bounds, in the table's shapes."""
+"""The layers that the backend returns: right by the judge's bounds, in the table's shapes."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Machines without a linker: PoCL computes all the same, with the same bits, and what the linker cannot do it says."""
+"""Machines without a linker: PoCL still computes, with the same bits, and the linker names what it cannot do."""
 
 import os
 import shutil
@@ -30,7 +30,7 @@ sys.stdout.buffer.write(b"".join(np.ascontiguousarray(array).tobytes() for array
 
 
 def compute(cache, path, **environment):
-    """What a process of its own gives that finds nothing compiled, once parts of the self-test, with many constants, were right."""
+    """The output of a separate process without compiled kernels, after right parts of the self-test, with many constants."""
     here = {k: v for k, v in os.environ.items() if not k.startswith(("POCL_CACHE", "STSS_LINKER"))}
     env = here | {"XDG_CACHE_HOME": str(cache), "PATH": str(path), "PYTHONPATH": str(Path(__file__).parents[2])} | environment
     return subprocess.run([sys.executable, "-c", COMPUTE], env=env, capture_output=True, timeout=300, check=False)

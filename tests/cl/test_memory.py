@@ -1,4 +1,4 @@
-"""Every kernel in Oclgrind, a simulator that sees each access: none is invalid, none races, and nothing is read before it is written.
+"""Every kernel in Oclgrind, a simulator that sees each access: none is invalid, none races, and no value is read before it is written.
 
 `make portability` runs it, since Oclgrind has to be the only runtime (``$OCL_ICD_VENDORS`` names its library). Oclgrind's own search
 for uninitialised values does not serve: it ends the process at a shuffle that leaves a lane open, and takes for uninitialised what lies

@@ -1,4 +1,4 @@
-"""The network on OpenCL: layers and stages against the reference, properties that need none."""
+"""The network on OpenCL: layers and stages against the reference, and properties that need no reference."""
 
 from dataclasses import replace
 

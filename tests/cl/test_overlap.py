@@ -1,4 +1,4 @@
-"""Frames of a stream one ahead: the bits of calls, and what waits for what where planes arrive and images leave meanwhile.
+"""Frames of a stream one ahead: the bits of single calls, and the order of uploads, launches and downloads.
 
 Nothing here depends on which of two threads is faster: a queue is held by an event of ours until something has been seen to happen, or
 to not have happened after a moment in which it could have.
@@ -27,11 +27,11 @@ from tests.cl.test_stream import sequences
 MOMENT = 0.5
 """Seconds in which what may happen does, and what must wait is seen to."""
 LONG = 120.0
-"""Seconds after which what should have happened is given up."""
+"""Seconds after which an expected event counts as missing."""
 
 
 def right(device, calls):
-    """What calls one by one give, to a stream that keeps nothing."""
+    """The results of single calls, by a stream that keeps nothing."""
     stream = Stream(WEIGHTS, device, skip="off")
     return [stream(*call) for call in calls]
 

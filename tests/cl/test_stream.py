@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A stream of display frames: whatever is kept, the image has the bits of a frame computed from nothing."""
+"""A stream of display frames: with any kept results, the image has the bits of a frame computed from nothing."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def sequences(draw):
     ids=lambda p: p[0] + " unread" * (p[1] is UNREAD) + " detailed" * (p[1] is DETAILED),
 )
 def pair(request, device):
-    """What keeps nothing, and what keeps all it can."""
+    """A stream that keeps nothing, and one that keeps all it can."""
     precision, weights = request.param
     return tuple(Stream(weights, device, precision, skip=skip) for skip in ("off", "exact"))
 
@@ -51,7 +51,7 @@ def pair(request, device):
 @settings(max_examples=8)
 @given(calls=sequences())
 def test_what_is_kept_changes_no_bit(pair, calls):
-    """Nor an image that somebody holds: the next one may be written over the last only where nobody has that any more."""
+    """Nor an image that the caller holds: the next one may overwrite the last only if no caller holds it."""
     plain, keeping = pair
     images = []
     for window, steps in calls:
@@ -77,7 +77,7 @@ def test_a_frame_in_which_nothing_changed_costs_a_comparison(device):
 
 @pytest.fixture
 def compiled(monkeypatch):
-    """What is compiled from now on: programs, and kernels for a size of group, which PoCL compiles at their first launch."""
+    """The compilations from now on: programs, and kernels for a size of group, which PoCL compiles at their first launch."""
     programs = set()
 
     def launched(queue, kernel, group):
@@ -215,7 +215,7 @@ def test_activity_says_where(device):
 
 
 def test_an_image_may_be_copied_to_the_callers_array(device):
-    """Which is then the caller's alone: what is done to it shows in no other frame."""
+    """The array then belongs to the caller: a change of it shows in no other frame."""
     stream, plain, frames = Stream(WEIGHTS, device), Stream(WEIGHTS, device, skip="off"), still(9, change="rectangle")
     out = np.empty((32, 48, 3), np.float32)
     for call in calls_of(frames):

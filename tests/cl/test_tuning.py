@@ -1,4 +1,4 @@
-"""Tile sizes: what is read is checked, what is kept comes back, and nothing wrong or slower is ever kept."""
+"""Tile sizes: rows are checked when read, stored rows come back, and no wrong or slower row is stored."""
 
 import io
 from dataclasses import replace

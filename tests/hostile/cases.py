@@ -1,4 +1,4 @@
-"""``stss`` as a user types it, in this process or in one of its own, and what a refusal looks like."""
+"""``stss`` as a user types it, in this process or in another, and the form of a refusal."""
 
 import contextlib
 import io
@@ -51,7 +51,7 @@ def _hangs(*_):
 
 
 NOTES = ("first start: ", "weights: ", "profile: ", "camera: ", "views: ", "background: ", "png: ")
-"""What a command tells beside its error."""
+"""Lines of a command besides its error."""
 
 
 def refused(result, *words):
@@ -70,7 +70,7 @@ def _text(argument):
 
 
 def runs(pid):
-    """Whether a process is there, and is more than a name that nobody has asked for yet."""
+    """Whether a process exists, and is not just a zombie."""
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] not in "ZX"
     except (FileNotFoundError, ProcessLookupError):
@@ -82,7 +82,7 @@ NOBODY = 65534
 
 @contextlib.contextmanager
 def unprivileged():
-    """What root may do, this process may not for a while."""
+    """Take root's privileges from this process for a while."""
     root = os.geteuid() == 0
     if root:
         os.seteuid(NOBODY)

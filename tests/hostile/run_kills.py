@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""``make kills``: processes of ``run`` and ``gather`` that are killed, each at a moment by chance, and what is there afterwards.
+"""``make kills``: processes of ``run`` and ``gather`` that are killed, each at a random moment, and the files afterwards.
 
-``python -m tests.hostile.run_kills 100`` says how often. Each is killed up to three times; then the command is given once more, and the
-folder must have the bytes of an undisturbed run. ``test_kills.py`` goes through every moment, without processes.
+``python -m tests.hostile.run_kills 100`` is the number of kills. Each is killed up to three times; then the command is given once more,
+and the folder must have the bytes of an undisturbed run. ``test_kills.py`` goes through every moment, without processes.
 """
 
 import os

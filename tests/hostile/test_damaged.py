@@ -24,7 +24,7 @@ WORDS = [
     b"\x1b[2J", b"\xff\xfe", b"\xe2\x80\xae", b"\r\n", b"\0", b"[" * 2000, b"{a=" * 500, b"a." * 500, b"9" * 401, b"1e999", b"-0",
     b"nan", b"[[x]]", b'"""', b"[]", b"{}", b'"\\ud800"', b'"F64"', b"null", b"chlist\0", b"tiledesc\0", b"IHDR", b"zTXt", b"<f8", b"|O",
 ]  # fmt: skip
-"""What a parser may stumble over."""
+"""Bytes that may confuse a parser."""
 
 
 @st.composite

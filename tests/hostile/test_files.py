@@ -35,7 +35,7 @@ FRAMES = 4
 
 @pytest.fixture(scope="module")
 def finished(demo, tmp_path_factory):
-    """What a run makes of them."""
+    """The output of a run of these frames."""
     out = tmp_path_factory.mktemp("finished") / "out"
     assert call("run", demo / "frames", "-o", out, *PLAIN).returncode == 0
     return out
@@ -97,7 +97,7 @@ def test_no_output_lies_among_the_inputs(inputs, tmp_path, place):
 
 
 def test_no_input_is_an_output_even_of_an_earlier_run(out, demo):
-    """The frames of a run serve as inputs of the next: by their list they are its own, yet it reads them."""
+    """The frames of a run serve as inputs of the next one: their list says that stss wrote them, but they are read."""
     for number in range(FRAMES):
         shutil.copy(demo / "frames" / f"demo.{number:04d}.exr", out / f"frame.{number:04d}.exr")
     refused_untouched(out, ("run", out, "-o", out, "--overwrite", *PLAIN), "the same file as")
@@ -368,7 +368,7 @@ def test_a_damaged_list_harms_nothing(finished, demo, tmp_path, line):
 @pytest.mark.parametrize("suffix", ["exr", "png"])
 @pytest.mark.parametrize("size", [0, 1000])
 def test_a_file_that_does_not_fit_is_no_file(finished, demo, tmp_path, suffix, size):
-    """What the system does not take fails the run, and nothing is left that is not whole.
+    """If the system refuses a write, the run fails, and no incomplete file remains.
 
     No file of the process may grow beyond ``size`` bytes, as on a full disk: one of its own, since others' threads may write, too.
     """

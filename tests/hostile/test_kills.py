@@ -40,9 +40,9 @@ class States:
             self._folder = None
 
     def keep(self):
-        """Look at the folder now."""
+        """Record the folder now."""
         if (folder := self._folder) is not None:
-            self._folder = None  # what looks is not looked at
+            self._folder = None  # recording itself is not recorded
             state = {
                 path.relative_to(folder).as_posix(): None if path.is_dir() else path.read_bytes() for path in folder.rglob("*")
             }

@@ -1,4 +1,4 @@
-"""Numbers that are none, and numbers too large for what holds them."""
+"""NaN and infinities, and numbers too large for their type."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Job folders and ports that mean harm: nothing outside is touched, nothing hangs, nothing wrong passes, nothing is left running."""
+"""Hostile job folders and ports: they touch nothing outside, do not hang, do not pass if wrong, and leave no process."""
 
 import json
 import os
@@ -396,7 +396,7 @@ def test_an_answer_that_is_not_judged_is_a_number_all_the_same(monkeypatch, numb
 
 @pytest.mark.parametrize("stage", STAGES)
 def test_zeros_of_either_sign_and_lost_small_numbers_pass(stage):
-    """What docs/conformance.md lets a port do."""
+    """Freedoms of a port in docs/conformance.md."""
 
     def change(outputs):
         for array in outputs.values():

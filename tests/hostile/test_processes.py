@@ -25,7 +25,7 @@ def frames(demo):
 
 
 def test_a_closed_stream_is_no_file(frames, tmp_path):
-    """What would be printed to a closed stream does not get into the next file that is opened, and the status is the run's."""
+    """Text for a closed stream does not get into the next opened file, and the status is the run's."""
     out = tmp_path / "out"
     words = f"{sys.executable} -m stss run {frames} -o {out} --weights bilinear --backend ref"
     assert subprocess.run(["sh", "-c", f"{words} <&- >&- 2>&-"], check=False).returncode == 0

@@ -1,4 +1,4 @@
-"""What ``stss`` is handed: numbers, names and files that no renderer writes; each is refused in one line, at once."""
+"""Inputs of ``stss``: numbers, names and files that no renderer writes; each is refused in one line, at once."""
 
 import os
 import struct

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Correct ports with other arithmetic: a suite that fails one of them asks for bits that nobody promised.
+"""Correct ports with other arithmetic: a suite that fails one of them demands bits that the protocol does not promise.
 
 All run in float32 but ``half`` and ``half_flush``, which store in float16.
 """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""``make mutants``: which tests of the quick tier find out each planted fault; the table of docs/conformance.md, by generator.
+"""``make mutants``: the tests of the quick tier that find each planted fault; the table of docs/conformance.md, by generator.
 
 ``python -m tests.meta.run_mutants warp rrm`` tries those of two stages; with ``--found FILE`` it goes on where the last run with this
 file stopped, and writes the table when all stages are in it.
@@ -44,14 +44,14 @@ GENERATORS = {
 }
 """Names of tests by what makes their cases."""
 PROPERTIES = "properties"
-"""Of all other tests, which need no reference."""
+"""The name for all other tests, which need no reference."""
 ORDER = ("drawn", PROPERTIES, *[name for name in GENERATORS if name != "drawn"])
 PAGE = Path(__file__).parents[2] / "docs" / "conformance.md"
 MARK = "make mutants"
 
 
 def generator(test):
-    """What makes the cases of a test, by its id."""
+    """The generator of a test's cases, by its id."""
     name = test.partition(".")[2]
     return next((word for word, names in GENERATORS.items() if name in names), PROPERTIES)
 

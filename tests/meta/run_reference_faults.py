@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """``make mutants``: whether ``tests/ref`` finds a fault at each branch, constant and operator of the reference.
 
-The judge compares ports with the reference, so no port finds what is wrong in it: its own tests must. Faults are made from the source,
+The judge compares ports with the reference, so no port finds a fault of the reference: its own tests must. Faults are made from the source,
 one at a time. All tests but those that need reference data are collected once; a fork has one fault and runs them until one fails.
 
 ``python -m tests.meta.run_reference_faults rrm frame`` does these modules alone.
@@ -25,7 +25,7 @@ MODULES = (
     *("arrays", "constants", "conv", "decoder", "depth", "detail", "encoder", "erm", "frame", "history", "holes", "loss"),
     *("motion_chain", "network", "occlusion_warp", "resample", "reshade", "rrm", "sample", "schedule", "warp"),
 )
-"""Those that compute; ``weights`` is a table that the network's shapes check, ``watch`` takes notes."""
+"""The modules that compute; ``weights`` is a table that the network's shapes check, ``watch`` only records."""
 SAME = {
     "arrays: strict=True -> strict=False": "the lengths were compared before",
     "conv: 2 * r -> 3 * r": "more zeros, which nothing reads",

@@ -70,7 +70,7 @@ def detail_of(first, frames, offs=(0, 0, 0), unit="float32"):
     st.sampled_from([(1, 1), (-1, -1), (-1, 1)]), st.booleans(),
 )  # fmt: skip
 def test_motion_that_is_off_by_its_rounding_keeps_detail_within_the_bound(seed, far, level, unit, ways, all_alike):
-    """On the kinks of the tents as often as beside them; and the reference's own float32 stays within its part."""
+    """On the kinks of the tents and beside them, equally often; the reference in float32 stays within its part."""
     random, size = np.random.default_rng(seed), (8, 40)
     first, *colors = (np.round(random.random((4, *size, 3)), random.integers(0, 3)) + level).astype(np.float32)
     fractions = np.where(
@@ -103,7 +103,7 @@ def test_a_motion_that_is_off_by_a_little_more_is_beyond_it():
 @pytest.mark.parametrize("steps", [(1, 3, 5), (0, 2, 4)])
 @pytest.mark.parametrize("size", [(3, 300), (8, 200), (16, 16)])
 def test_the_image_holds_the_rounding_of_a_long_motion(size, steps):
-    """As much as a sum may be off, either way; not as much as half precision is."""
+    """The bound is at least the error of a sum in any order, and less than that of half precision."""
     random, arithmetic = np.random.default_rng(2), Arithmetic()
     inputs, weights = frame_case(size, random, "detail", steps)
     moves = random.uniform(-0.45, 0.45, (max(steps), 1, 1, 2)).astype(np.float32) * np.float32(size[::-1])

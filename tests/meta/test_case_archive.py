@@ -1,4 +1,4 @@
-"""``stss conform --write-cases``: read as a stranger would, by the code of docs/ports.md, which has nothing but json and numpy."""
+"""``stss conform --write-cases``: read as a stranger reads it, by the code of docs/ports.md, which imports only json and numpy."""
 
 import hashlib
 import json
@@ -105,7 +105,7 @@ def test_it_is_a_job(archive, tmp_path):
 
 
 def test_the_same_seed_gives_the_same_bytes(tmp_path):
-    """And what the checksums say of the inputs is what the index says."""
+    """And the checksums of the inputs agree with the index."""
     for name in ("a", "b"):
         index = write_archive(tmp_path / name, ["rrm", "history"], Tier("few", 4, 2, 1))
     sums = [(tmp_path / name / "SHA256SUMS").read_bytes() for name in ("a", "b")]

@@ -122,7 +122,7 @@ def test_a_wrong_port_leaves_what_is_needed(here):
 
 
 def test_a_failure_is_told_when_it_occurs(here):
-    """With how many tests there are; the rest is not run, and the JSON says that it is not all."""
+    """The report counts all tests; the rest is not run, and the JSON says that it is incomplete."""
     done = run("--port", "wrong_port:Port", "--stages", "warp", "--fail-fast", "--json", "found.json")
     assert done.exit_code == 1
     assert re.search(r"^1 of \d+ tests: failed: warp\.agrees_with_the_reference: .* looks like", done.output, re.M)
@@ -204,7 +204,7 @@ def test_known_failures(here):
     run("--port", "wrong_port:Inverted", "--stages", "rrm", "--json", "found.json")
     failed = [test["id"] for test in json.loads((here / "found.json").read_text())["tests"] if test["outcome"] == "failed"]
     assert len(failed) > 1
-    write_known(here, [*failed, "holes.agrees_with_the_reference"])  # the last is not asked for, and has no say
+    write_known(here, [*failed, "holes.agrees_with_the_reference"])  # the last stage is not judged, and does not count
     done = run(
         "--port", "wrong_port:Inverted", "--stages", "rrm", "--known-failures", "known", "--junit", "junit.xml", "--fail-fast"
     )
@@ -212,12 +212,12 @@ def test_known_failures(here):
     counts = ElementTree.parse(here / "junit.xml").getroot()[0]
     assert (counts.get("failures"), counts.get("errors"), counts.get("skipped")) == ("0", "0", str(len(failed)))
     assert "known until 2999-01-01: https://example.org/1" in done.output
-    # Past the day they are failures again.
+    # After that day they are failures again.
     write_known(here, failed, "2020-02-29")
     done = run("--port", "wrong_port:Inverted", "--stages", "rrm", "--known-failures", "known")
     assert done.exit_code == 1
     assert "known until 2020-02-29, which is past: https://example.org/1" in done.output
-    # On a right port the list is wrong, and that is said.
+    # On a right port the list is wrong, and the report says so.
     write_known(here, failed)
     done = run("--port", "stss.port:ReferencePort", "--stages", "rrm", "--known-failures", "known", "--junit", "junit.xml")
     assert done.exit_code == 1

@@ -1,4 +1,4 @@
-"""Each constant of the specification is pinned by a case: whatever takes its place is beyond ten times the bound."""
+"""A case pins each constant of the specification: any other value gives an error above ten times the bound."""
 
 import ast
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""A wrong answer leads to its mistake: the planted one is among those that are named, and nothing is named that does not fit."""
+"""A wrong answer leads to its mistake: the planted one is among the named ones, and no other named mistake contradicts the answer."""
 
 from itertools import product
 
@@ -70,7 +70,7 @@ def test_the_answers_that_are_right_count_too():
 
 
 class Odd(ReferencePort):
-    """A mistake that nobody has made before."""
+    """An unknown mistake."""
 
     def run(self, stage, inputs, weights=None):
         outputs = super().run(stage, inputs, weights)
@@ -87,7 +87,7 @@ def test_no_mistakes_to_compare_with_are_said_in_words(monkeypatch):
 
 
 def test_a_stage_without_right_answers_is_named(monkeypatch):
-    """As somebody meets it who adds one."""
+    """The error for somebody who adds a mistake."""
     monkeypatch.setitem(by_stage.STAGES, "dim", by_stage.STAGES["warp"])
     with pytest.raises(AssertionError, match=r"dim: no right answers; expected a function in conformance/answers/by_stage.py"):
         by_stage.expect("dim", {}, None, None, {})

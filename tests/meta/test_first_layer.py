@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A mistake in one layer is looked for in that layer, whoever hands the layers over and however few."""
+"""A mistake in one layer is found in that layer, for any port that returns layers, and for few of them."""
 
 import subprocess
 import sys
@@ -93,7 +93,7 @@ def test_layers_that_lack_or_are_wrong(stage, layers, message):
 
 
 def test_the_judge_says_it():
-    """In the message of the test that fails, with what the whole looks like."""
+    """In the message of the failing test, beside the diagnosis of the whole."""
     results = run_suite(Judge(Mangled("down1.conv1"), Tier("some", 3, 3)), ["encoder"], first_only=True)
     failed = next(result for result in results if result.outcome == "failed")
     assert "; first departs at layer down1.conv1: " in failed.message
@@ -119,7 +119,7 @@ def test_a_program_hands_them_over_when_asked():
 
 
 def test_dump(tmp_path):
-    """Without the judge's folder, and not where it is not asked for; what an earlier run left goes."""
+    """Without the judge's folder no layers are written; files of an earlier run are removed."""
     case = samples("history")[0]
     write_job(tmp_path, [case, samples("warp")[0]])
     run_job(tmp_path, "ref")

@@ -1,4 +1,4 @@
-"""The judge of any network: operators against ONNX's own, mistakes that it must find, ports that it must pass."""
+"""The judge of any network: operators against ONNX's own, mistakes to find, right ports to pass."""
 
 import importlib
 import json
@@ -528,7 +528,7 @@ def test_options_of_any_network_need_one():
 
 
 def test_a_program_that_changes_its_inputs_or_fails_is_said(tmp_path):
-    """What `Program` looks at for ports of STSS it looks at here."""
+    """`Program` makes the same checks as for ports of STSS."""
     onnx.save(model_of([helper.make_node("Relu", ["x"], ["y"])], {"x": [3]}, {"y": 1}), tmp_path / "m.onnx")
     model = load_model(tmp_path / "m.onnx")
     for lines, words in (

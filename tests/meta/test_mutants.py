@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Every planted fault still applies to the reference, runs as a port must, and is no reference in other words."""
+"""Every planted fault still applies to the reference, runs like a port, and changes the result."""
 
 import sys
 from functools import cache
@@ -61,7 +61,7 @@ def is_found_out(port, stage, *, bits, large=False):
 
 @pytest.mark.parametrize("mutant", MISTAKES, ids=by_id)
 def test_a_fault_is_one(mutant):
-    """It applies, runs, and shows in every stage whose tests ought to catch it."""
+    """It applies, runs, and shows in every stage whose tests must catch it."""
     port = mutant.port()
     for stage in (mutant.stage, *mutant.also):
         assert is_found_out(port, stage, bits=mutant.bits, large=mutant.large), stage
@@ -75,7 +75,7 @@ def test_a_fault_of_bits_is_within_the_bounds(mutant):
 
 @pytest.mark.parametrize("stage", STAGES)
 def test_an_unchanged_copy_is_the_reference(stage):
-    """Bit for bit, so that what a mutant does differently is its fault alone; and float32 alone is none."""
+    """Bit for bit, so that a mutant differs only by its fault; and float32 alone is no fault."""
     copy = load("copy")
     assert copy.stages() == set(STAGES)
     assert not is_found_out(copy, stage, bits=True)

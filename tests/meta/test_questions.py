@@ -1,4 +1,4 @@
-"""A program is started for many cases at once, whatever its properties ask for next; a Python port is judged as before."""
+"""A program is started for many cases at once, for any questions of its properties; a Python port is judged as before."""
 
 import numpy as np
 import pytest

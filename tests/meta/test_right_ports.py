@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The correct ports are correct, and their arithmetic is another one."""
+"""The correct ports are correct, and their arithmetic differs from the reference's."""
 
 from functools import cache
 
@@ -15,7 +15,7 @@ from tests.meta import right_ports as others
 from tests.meta.samples import departs, samples, weights_of
 
 ROWS = {"float32": "stage.cl", "float16": "network.cl.half"}
-"""What the port is held to: that of the OpenCL backend."""
+"""The row of bounds for the port: that of the OpenCL backend."""
 
 NETWORK = {"history", "encoder", "erm", "decoder", "network", "frame"}
 READS = {"warp", "occlusion_warp"}
@@ -60,7 +60,7 @@ def as_stored(inputs, dtype):
 @pytest.mark.parametrize("stage", STAGES)
 @pytest.mark.parametrize("name", DIFFERENT)
 def test_each_is_near_the_reference(name, stage):
-    """Within what is asked of the OpenCL backend; with other bits where they ought to be others, and only there."""
+    """Within the OpenCL backend's bounds; with other bits in exactly those stages where they must differ."""
     judged = port_of(name)
     different = False
     for inputs, weights, truth, rounded in samples_of(stage, judged.dtype):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Planted faults are found out by the quick tier, with the seed that a user gets: some of each stage. ``make mutants`` tries all."""
+"""The quick tier finds planted faults, with a user's default seed: some of each stage. ``make mutants`` tries all."""
 
 import pytest
 
@@ -16,7 +16,7 @@ NAMES.append("frame_hole_test_ignored")  # the kept weights say which test
 
 @pytest.mark.parametrize("name", NAMES)
 def test_found_out(name, tmp_path):
-    """And from the folder that is kept the mutant fails again, while a mended port, the reference, passes."""
+    """The mutant fails again from the kept folder, while a mended port, the reference, passes."""
     (result,) = failed(name)
     folder = keep_failure(tmp_path, result.id, result.record.failure, "stss conform")
     assert replay(ReferencePort(), folder).failure is None

@@ -1,4 +1,4 @@
-"""The schemas say of the files what the code writes and reads, no more and no less."""
+"""The schemas describe exactly the files that the code writes and reads."""
 
 import copy
 import json

@@ -1,4 +1,4 @@
-"""A program that serves is judged as one that is started for each job: whatever it does wrong is its failure, and told."""
+"""A program that serves is judged as one that is started for each job: each fault of it is a failure, and reported."""
 
 import subprocess
 import sys

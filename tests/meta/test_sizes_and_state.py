@@ -1,4 +1,4 @@
-"""Mistakes that no small case shows, and those that a case alone does not: sizes, state, chance."""
+"""Mistakes that no small case shows, and mistakes that no single case shows: sizes, state, chance."""
 
 import re
 
@@ -35,7 +35,7 @@ def wrapped(array):
 
 
 def tiled(port, stage, inputs, weights, columns=64):
-    """Tiles that see nothing of each other."""
+    """Tiles that do not read each other's pixels."""
     width = next(array for name, array in inputs.items() if name in ("color", "history", "gbuffer")).shape[-2]
     if width <= columns or width % 8:
         return port.run(stage, inputs, weights)

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: MIT
-"""``--size`` and ``--largest-side``: a fault beyond every tier's size is found, and what a port does not take is left out and said."""
+"""``--size`` and ``--largest-side``: a fault beyond every tier's size is found, and the report names the sizes that a port does not
+accept."""
 
 import numpy as np
 import pytest

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The weights file of a job: no port passes that goes by anything but the names, and the library reads every one."""
+"""The weights file of a job: only ports that go by the names pass, and the library reads every file."""
 
 import json
 from dataclasses import replace
@@ -20,7 +20,7 @@ SETS = [made_weights("random", seed) for seed in range(16)]
 
 
 def header(data):
-    """Its bytes, and what they say."""
+    """Its bytes, and their content."""
     length = int.from_bytes(data[:8], "little")
     return data[8 : 8 + length], json.loads(data[8 : 8 + length])
 

@@ -1,7 +1,7 @@
 """``python -m tests.offline [TARGET ...]``: every program of the GPU rows compiled for GPUs that are not there, against budgets.
 
-Registers, stack, spills and local memory, from clang, libclc, ptxas and ocloc. The drivers' own compilers are others: the table shows
-what can be expected, not what they do.
+Registers, stack, spills and local memory, from clang, libclc, ptxas and ocloc. The drivers' compilers differ: the table shows the
+expected figures, not theirs.
 """
 
 import argparse

@@ -1,4 +1,4 @@
-"""What the offline compilers say is read rightly, and the kernels for GPUs stay within their budgets."""
+"""The output of the offline compilers is read rightly, and the kernels for GPUs stay within their budgets."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""What the functions of `docs/api.md` say of arrays that they do not take: one line that names the array."""
+"""The errors of the functions in `docs/api.md` for wrong arrays: one line that names the array."""
 
 from functools import partial
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The analytic scenes: what their buffers say must be true of the scene, not only of the code that wrote them."""
+"""The analytic scenes: their buffers must be true of the scene, and not merely repeat the code that wrote them."""
 
 import numpy as np
 import pytest

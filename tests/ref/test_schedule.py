@@ -1,4 +1,4 @@
-"""Which frames a display frame is made of."""
+"""The frames from which a display frame is made."""
 
 import pytest
 from hypothesis import given

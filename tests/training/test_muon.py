@@ -1,4 +1,4 @@
-"""Muon: what its steps are, and that they descend."""
+"""Muon: the form of its steps, and their descent."""
 
 import numpy as np
 import pytest

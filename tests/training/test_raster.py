@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The rasteriser's clips: which are drawn, and how they are written. No browser."""
+"""The rasteriser's clips: the choice of clips, and their files. No browser."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The paper's rivals: what they read, a step of training, and frames in a folder."""
+"""The paper's rivals: their inputs, a step of training, and frames in a folder."""
 
 import json
 from dataclasses import replace

@@ -39,7 +39,7 @@ def test_a_run_beats_bilinear_and_writes_weights(data, tmp_path):
 
 
 def test_the_log_begins_with_the_weights_that_it_starts_from(data, tmp_path):
-    """So that a run which only got worse is not taken for one that gained."""
+    """So a run that only became worse does not count as a gain."""
     run(data, tmp_path / "first", 40)
     first = run(data, tmp_path / "second", 1, "--initial", str(tmp_path / "first" / "weights.safetensors"))[0]
     last = json.loads((tmp_path / "first" / "log.jsonl").read_text().splitlines()[-1])["validation"]

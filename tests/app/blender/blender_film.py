@@ -24,7 +24,7 @@ def settings(scene):
 
 def make_scene():
     """A monkey that crosses a plane."""
-    bpy.ops.wm.read_homefile(use_empty=True)  # of a new file: preferences, and so the extension, stay
+    bpy.ops.wm.read_homefile(use_empty=True)  # a new file: preferences, and so the extension, stay
     scene = bpy.context.scene
     bpy.ops.mesh.primitive_plane_add(size=20)
     bpy.ops.mesh.primitive_monkey_add(location=(0, 0, 1))
@@ -60,7 +60,8 @@ def render_truth(scene, folder):
 
 
 def make_trap(mine):
-    """What artists have: what moves without keys of its own, two cameras, layers, a compositor that writes files, a sequencer, 50 %."""
+    """An artist's scene: objects that move without keys of their own, two cameras, layers, a compositor that writes files, a sequencer,
+    50 %."""
     scene, monkey = make_scene()
     monkey.animation_data_clear()
     bpy.ops.object.armature_add()
@@ -184,4 +185,4 @@ except BaseException:
 finally:
     sys.stdout.flush()
     sys.stderr.flush()
-    os._exit(0)  # Blender as a module may wait for ever when Python tidies up
+    os._exit(0)  # Blender as a module may wait for ever when Python exits

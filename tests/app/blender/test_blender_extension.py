@@ -243,7 +243,7 @@ def test_a_scene_becomes_supersampled_frames_without_a_hand_on_it(bpy_python, pa
 
 
 def see_trap(report, folder, printed):
-    """The scene of `blender_film.make_trap`: refused before an hour is spent; what moves has a number; a marker's cut is a cut."""
+    """The scene of `blender_film.make_trap`: refused before an hour is spent; moving objects have numbers; a marker's cut is a cut."""
     assert {name: line.strip().split(": ")[1] for name, line in report["refused"].items()} == {
         "unsaved": "Folder", "use_multiview": "Stereoscopy", "frame_step": "Frame Range, Step", "cuts": "Options"
     }  # fmt: skip

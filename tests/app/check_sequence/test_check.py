@@ -1,4 +1,4 @@
-"""The check says what is wrong with a sequence, the most likely thing first."""
+"""The check names the faults of a sequence, the most likely one first."""
 
 import io
 import json
@@ -94,7 +94,7 @@ def test_colours_of_few_samples_are_of_g_buffer_frames(tmp_path, samples, level,
 
 @pytest.mark.parametrize("choice", list(CHOICES)[1::3])
 def test_a_wrong_choice_of_motion_is_told(write_frames, choice):
-    """Motion stored wrongly, in three of the seven ways; the report names the way back."""
+    """Motion stored wrongly, in three of the seven ways; the report names the right convention."""
     swap, x, y = CHOICES[choice]
 
     def change(number, channels):
@@ -189,11 +189,12 @@ def test_masked_values_are_a_warning(write_frames):
     ],
 )
 def test_steps_of_positions(write_frames, far, half, words):
-    """Half's are 1/8 from 128 to 256, 32 from 32768 on; from 2**24 cm on float32's are an eighth of the smallest that tells a hole."""
+    """Steps of half are 1/8 from 128 to 256, 32 from 32768 on; from 2**24 cm on those of float32 are an eighth of the smallest offset of
+    a hole."""
 
     def change(number, channels):
         channels["position.Z"] = channels["position.Z"] * far
-        channels["depth.Z"][:4] = 1e10  # the place that stands for the sky is no position
+        channels["depth.Z"][:4] = 1e10  # the place of the sky is no position
 
     folder = write_frames([1, 2], change=change, half=("position.X", "position.Y", "position.Z") if half else ())
     findings = [
@@ -238,7 +239,7 @@ def test_object_numbers_that_run_together_are_named(write_frames, least, half, l
 
 
 def test_the_other_eye_is_named(write_frames, tmp_path):
-    """Of the views in parts, and of those in names, one is read, which both commands say; a profile reads the other."""
+    """One view is read, of views in parts and of views in names, and both commands say so; a profile reads the other."""
     folder = write_frames([1, 2], size=(16, 24))
     for kind in ("parts", "names"):
         (tmp_path / kind).mkdir()

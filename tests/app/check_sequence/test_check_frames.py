@@ -33,7 +33,7 @@ def frames(folder):
 
 
 def test_the_lines_are_those_of_files(folder, frames):
-    """But for those that only files have."""
+    """All findings, except those that only files can have."""
     lines = stss.check_frames(frames)
     assert {level for level, _ in lines} == {"note"}
     of_files = [f.text.replace("profile stss", "its profile") for f in check(folder, SequenceOptions("stss")).findings]

@@ -1,4 +1,4 @@
-"""What static geometry proves: each mistake of a new user's is planted in frames of an analytic scene, and named."""
+"""Findings by static geometry: each mistake of a new user is planted in frames of an analytic scene, and named."""
 
 import numpy as np
 import pytest
@@ -84,7 +84,7 @@ def normal_of_a_turned_camera(channels, frames, number):
 
 
 def bright(channels, frames, number):
-    """Highlights above 1 that stand where base colours change."""
+    """Highlights above 1 where base colours change."""
     encoded(channels, frames, number)
     channels["R"] = np.where(channels["R"] > 0.5, 10 * channels["R"], channels["R"])
 
@@ -140,7 +140,7 @@ def test_each_mistake_is_named(findings_of, changes, words):
 
 @pytest.mark.parametrize("scene", ["flythrough", "demo"])
 def test_positions_relative_to_the_camera_are_named_and_motion_is_not(tmp_path, scene):
-    """Whether the camera turns or not; where it is at the origin anyway, a wrong motion is one all the same."""
+    """With a turning camera or a fixed one; if the camera really is at the origin, a wrong motion is still found."""
     for number in NUMBERS:
         channels = frame_channels(render(SCENES[scene], number, *SIZE), rendered=True)
         position = np.stack([channels[f"position.{axis}"] for axis in "XYZ"], axis=-1)

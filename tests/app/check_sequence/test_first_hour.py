@@ -1,4 +1,4 @@
-"""A sequence without a word about it: profile and camera are found from the files."""
+"""A sequence without options: profile and camera are found from the files."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""A camera that is jittered by parts of a pixel is found out, whether motion has the jitter or not."""
+"""A camera that is jittered by parts of a pixel is found, with the jitter in motion or without."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -40,7 +40,7 @@ def still(camera):
 
 
 def shaken_by(camera):
-    """Within a frame's own time the jitter is constant; motion compares with the frame before, whose jitter is another."""
+    """Within a frame the jitter is constant; motion leads to the previous frame, which has another jitter."""
 
     def target(frame):
         x, y, z = camera.target(frame)

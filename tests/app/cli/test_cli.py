@@ -19,7 +19,7 @@ from tests.hostile.cases import call, refused
 SIZE = (18, 32)
 FRAMES = 10
 SECONDS = 300
-"""For a call: the first one compiles kernels, and tests the device."""
+"""Seconds for a call: the first one compiles kernels, and tests the device."""
 
 
 def stss(*arguments):
@@ -51,7 +51,7 @@ def changeable(frames, tmp_path):
 
 @pytest.fixture(scope="module")
 def by_network(device, frames, weights, tmp_path_factory):
-    """Output of the whole sequence on the device; a process of its own made it. Nothing may be changed in it."""
+    """Output of the whole sequence on the device, made by a separate process. Tests must not change it."""
     out = tmp_path_factory.mktemp("random") / "out"
     arguments = [sys.executable, "-m", "stss", "run", frames, "-o", out, "--weights", weights]
     result = subprocess.run(arguments, capture_output=True, text=True, timeout=SECONDS, check=False)
@@ -61,7 +61,7 @@ def by_network(device, frames, weights, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def plain(frames, tmp_path_factory):
-    """Output of the whole sequence without a network. Nothing may be changed in it."""
+    """Output of the whole sequence without a network. Tests must not change it."""
     out = tmp_path_factory.mktemp("plain") / "out"
     require_success(stss("run", frames, "-o", out, *PLAIN))
     return out
@@ -163,7 +163,7 @@ def test_a_bad_frame_stops_the_run_at_its_turn_or_is_left_out(changeable, tmp_pa
     result = stss(*run, tmp_path / "out", "--keep-going")
     assert result.returncode == 1
     assert str(bad) in result.stderr
-    # 5 has lost the frame it is made of; 6 and what follows start a new history.
+    # 5 has lost the frame it is made from; 6 and later frames start a new history.
     assert names(tmp_path / "out") == [f"frame.000{n}.exr" for n in (0, 1, 2, 3, 6, 7, 8, 9)]
 
 

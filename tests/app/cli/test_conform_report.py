@@ -9,7 +9,7 @@ from tests.app.pages.test_pages import HOSTILE, pictures
 
 
 def test_the_report_on_a_port_is_a_page_like_the_others(ask, tmp_path):
-    """With a port's name and words of strangers, which stay text."""
+    """With a stranger's words as the port's name and messages, which stay text."""
     port = SimpleNamespace(name=f"port {HOSTILE}")
     judge = SimpleNamespace(
         port=port,
@@ -35,7 +35,7 @@ def test_the_report_on_a_port_is_a_page_like_the_others(ask, tmp_path):
             `[id="${failure.slice(1)}"]`).tagName];
     """
     wide, outcomes, *rest = ask(tmp_path / "p.html", script, 390)
-    # What a test came to is in sight, however narrow the page; and the first lines lead to each failure.
+    # The outcome of a test is visible on a page of any width, and the first lines lead to each failure.
     assert wide <= 390
     assert len(outcomes) == 2
     assert max(outcomes) <= 390

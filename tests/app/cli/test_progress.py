@@ -1,4 +1,4 @@
-"""How far a long command is: a bar with the time left on a terminal, a line a minute in a log file."""
+"""The progress of a long command: a bar with the time left on a terminal, a line a minute in a log file."""
 
 import io
 import itertools
@@ -22,7 +22,7 @@ def lines_of(console):
 
 
 def wait_for(console, count):
-    """Until so many lines are printed."""
+    """Wait until this many lines are printed."""
     end = time.monotonic() + 20
     while len(lines_of(console)) < count:
         assert time.monotonic() < end
@@ -30,7 +30,7 @@ def wait_for(console, count):
 
 
 def test_a_log_file_gets_a_line_a_minute_even_while_nothing_is_done(monkeypatch):
-    """The minutes are the test's own; no two lines are equal, also of a step that takes many."""
+    """The test makes the minutes; no two lines are equal, even in a step of many minutes."""
     seconds = itertools.count(0, 60)
     monkeypatch.setattr(progress, "time", SimpleNamespace(monotonic=lambda: next(seconds)))
     console = Console(file=io.StringIO(), width=20)
@@ -77,7 +77,7 @@ def folder(demo, tmp_path_factory):
     ],
 )
 def test_every_long_command_has_a_bar_with_the_time_left(folder, tmp_path, monkeypatch, command):
-    """`stss tune`, `demo` and `conform` have theirs in tests of their own."""
+    """`stss tune`, `demo` and `conform` have their own tests of progress."""
     for name in ("frames", "truth", "out", "parts"):
         shutil.copytree(folder / name, tmp_path / name)
     monkeypatch.chdir(tmp_path)

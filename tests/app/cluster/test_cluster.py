@@ -1,4 +1,4 @@
-"""`stss run --cluster`: the files of one process, whatever becomes of the workers."""
+"""`stss run --cluster`: the files of one process, even if workers die or hang."""
 
 import contextlib
 import multiprocessing
@@ -60,7 +60,7 @@ class DiedError(Exception):
 
 
 class Threads(ThreadPoolExecutor):
-    """Two workers in this process. ``becomes`` gets the number of a chunk handed out and its frames, and may answer in its place."""
+    """Two workers in this process. ``becomes`` gets the number of a chunk and its frames, and may answer in the worker's place."""
 
     def __init__(self, becomes):
         super().__init__(2)
@@ -192,7 +192,7 @@ def sockets(process):
 
 @pytest.mark.skipif(not Path("/proc/self/fd").exists(), reason="no /proc")
 def test_processes_here_have_no_socket_and_may_die(frames, tmp_path):
-    """No socket: nobody else can call them. One is killed when the first chunk is in."""
+    """Without a socket no other user can reach them. One is killed when the first chunk has arrived."""
     killed, counts = [], []
 
     def on_frame(report):

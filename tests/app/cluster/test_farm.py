@@ -1,4 +1,4 @@
-"""The job template for farms, and what puts its parts together, make what one run makes."""
+"""The job template for farms, with `stss gather`, makes the files of one run."""
 
 import os
 import re
@@ -49,7 +49,7 @@ def plain(frames, out, numbers=None, **options):
 
 @pytest.fixture
 def parts(frames, tmp_path):
-    """Two parts, and what one run makes in ``one``."""
+    """Two parts, and the files of one run in ``one``."""
     plain(frames, tmp_path / "parts" / "0", (0, 4))
     plain(frames, tmp_path / "parts" / "1", (5, 7))
     plain(frames, tmp_path / "one")
@@ -86,7 +86,7 @@ def test_the_command_of_the_page_runs_as_it_stands(openjd, write_frames, device,
 
 
 def test_the_tasks_make_what_one_run_makes(openjd, frames, tmp_path):
-    """In a folder whose name is a command to a shell, which nobody runs."""
+    """In a folder whose name is a shell command; no shell runs it."""
     out = tmp_path / "out $(touch here); `touch here`"
     done = openjd_run(openjd, tmp_path, gather_words(frames, out))
     assert done.returncode == 0, done.stdout[-3000:] + done.stderr
@@ -174,7 +174,7 @@ def linked(parts, out, frames):
     (parts / "2").symlink_to(parts.parent / "finished")
 
 
-FAULTS = {  # what becomes of parts, target and frames -> what is said
+FAULTS = {  # change of parts, target and frames -> the message
     "damaged": (
         lambda parts, *_: write(parts / "1" / "frame.0006.exr"),
         "frame.0006.exr: not as its list says; make this part again",

@@ -49,7 +49,7 @@ def test_an_earlier_demo_is_only_replaced_when_asked(tmp_path):
 
 @pytest.mark.parametrize("ends", [None, DeviceError("self-test: failed"), KeyboardInterrupt()], ids=repr)
 def test_the_device_is_tested_while_the_scene_is_rendered(tmp_path, monkeypatch, ends):
-    """What ends the test of the device ends the rendering, too: at the next frame."""
+    """An error or interrupt that ends the test of the device also ends the rendering, at the next frame."""
     frames, tested, start, render = 4, [], Event(), demonstration.render
 
     def choose(name, tell, *, trial):

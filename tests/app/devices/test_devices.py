@@ -1,4 +1,4 @@
-"""Which device computes, and how its self-test decides: fake devices and fake self-tests, and the real ones once."""
+"""The choice of a device, and the verdict of its self-test: fake devices and fake self-tests, and the real ones once."""
 
 import io
 import json
@@ -57,7 +57,7 @@ GPU, CPU = cl.device_type.GPU, cl.device_type.CPU
 
 @pytest.fixture
 def machine(monkeypatch):
-    """``machine({name: (kind, verdict)})``: such devices; answers are kept nowhere and asking is noted."""
+    """``machine({name: (kind, verdict)})``: a machine with these devices; verdicts are not stored, and each request is noted."""
 
     def make(table):
         handles = {name: fake(*name.split(": "), kind) for name, (kind, _) in table.items()}
@@ -110,7 +110,7 @@ def test_a_named_device_is_taken_however_slow(machine, monkeypatch):
     ("weights", "trial"), [("realtime", ""), ("antialiased", " antialiased"), ("bilinear", ""), (random(0), " every")]
 )
 def test_what_is_tested_has_the_layers_that_weights_need(machine, weights, trial):
-    """And no others, which would take longest to compile."""
+    """And no others, since these would take longest to compile."""
     tested = machine({"A: cpu": (CPU, Verdict("failed", "x"))})
     with pytest.raises(DeviceError, match="A: cpu failed: x"):
         open_backend("cl", weights)
@@ -178,7 +178,7 @@ def answer(result):
 
 
 NO_PASS = [
-    # what the child does, what is said
+    # the child's action, the message
     ("""print('{"why": "exp: off by 90 ulp", "gflops": 0}')""", "failed: exp: off by 90 ulp"),
     ("print(json.dumps({'why': str(sys.argv[1:]), 'gflops': 0}))", "failed: ['A: b #2', 'realtime']"),
     ("raise ImportError('no numpy')", "failed: ImportError: no numpy"),
@@ -260,7 +260,7 @@ def test_a_verdict_lapses_when_anything_changes(monkeypatch):
 
 @pytest.mark.parametrize("edit", [(b"failed", b"passed"), (b'"why": "x"', b'"why": ""'), (b"2.0", b"9.0"), (b"}", b" }")])
 def test_an_edited_verdict_is_ignored(edit):
-    """Whatever is changed in it; and so is that of another device under this one's name."""
+    """For any change in it; the verdict of another device under this one's name is ignored, too."""
     handle = fake("A", "cpu")
     verdict("A: cpu", handle, command=answer({"why": "x", "gflops": 2.0}))
     (path,) = caches.private("verdicts").glob("*.json")
@@ -282,7 +282,7 @@ ANSWER = f"print({json.dumps(json.dumps(PASSED))}, flush=True)\n"
 
 
 def test_a_slow_clock_is_no_hang(monkeypatch):
-    """Three times the limit on the clock, a fraction of it on the processor: what a busy machine makes of a self-test."""
+    """Three times the limit on the clock, a fraction of it on the processor: as for a self-test on a busy machine."""
     monkeypatch.setenv("STSS_SELFTEST_SECONDS", "1")
     busy = "for _ in range(30):\n    end = time.process_time() + 0.01\n    while time.process_time() < end: pass\n    time.sleep(0.09)\n"
     got = run_selftest(NAME, child(busy + ANSWER))
@@ -292,7 +292,7 @@ def test_a_slow_clock_is_no_hang(monkeypatch):
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks for processes in /proc")
 def test_what_a_self_test_leaves_behind_ends_with_it(tmp_path):
-    """It holds the output open, and would be waited for."""
+    """It holds the output open, so the test would wait for it."""
     pid = tmp_path / "pid"
     program = f"if os.fork() == 0:\n    open({str(pid)!r}, 'w').write(str(os.getpid()))\n    time.sleep(100)\n"
     wait = f"while not os.path.exists({str(pid)!r}) or not open({str(pid)!r}).read(): time.sleep(0.01)\n"
@@ -305,7 +305,7 @@ def test_what_a_self_test_leaves_behind_ends_with_it(tmp_path):
     assert not runs(pid.read_text())
 
 
-NOT_THE_DEVICE = {  # what ended the self-test, and says nothing about the device
+NOT_THE_DEVICE = {  # an end of the self-test that does not depend on the device
     "hung": "time.sleep(60)",
     "out of memory": f"os.kill(os.getpid(), {int(signal.SIGKILL)})",
     "ended from outside": f"os.kill(os.getpid(), {int(signal.SIGTERM)})",
@@ -327,7 +327,7 @@ def test_what_does_not_last_is_not_kept(monkeypatch, kind):
 
 @pytest.mark.skipif(os.name == "nt", reason="the test holds a lock by flock")
 def test_one_process_tests_while_others_wait(tmp_path):
-    """All have its verdict: none of several first starts at once is refused."""
+    """All get its verdict: none of several first starts at once is refused."""
     mark, go, waiting = tmp_path / "begun", tmp_path / "go", threading.Barrier(4, timeout=60)
     slow = child(f"open({str(mark)!r}, 'a').write('x')\n" + f"while not os.path.exists({str(go)!r}): time.sleep(0.01)\n" + ANSWER)
     got, lines = [], []

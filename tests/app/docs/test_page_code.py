@@ -1,6 +1,6 @@
-"""What pages say to programmers is so: blocks of Python, code in running text, tables of profiles.md; on data with that property.
+"""Pages for programmers are right: blocks of Python, code in running text, tables of profiles.md; on data with that property.
 
-Blocks run as they stand. `CELLS` and `KEYS` name all code in running text and all keys, so none can be written that nobody tried.
+Blocks run as they stand. `CELLS` and `KEYS` name all code in running text and all keys, so a page cannot contain untested code.
 """
 
 import math
@@ -175,12 +175,12 @@ NEEDS = {
     "write_job(Path(": of_ports,
     "import bpy": of_blender,
 }
-"""What stands in a block -> what its reader has, and what must hold then."""
+"""A part of a block -> the data of its reader, and the property that must hold then."""
 
 
 @pytest.mark.parametrize("name", sorted({name for name, _ in CODE}))
 def test_blocks_run_as_they_stand(name, device, demo, tmp_path, monkeypatch):
-    """One after the other, as somebody types them who reads the page from its beginning."""
+    """One after the other, as by a reader who starts at the beginning of the page."""
     monkeypatch.chdir(tmp_path)
     scope = {"weights": random_weights(0)}
     for block in [block for where, block in CODE if where == name]:
@@ -193,7 +193,7 @@ def test_blocks_run_as_they_stand(name, device, demo, tmp_path, monkeypatch):
 
 
 def test_a_block_that_is_wrong_would_be_found(device, demo, tmp_path, monkeypatch):
-    """The page once said so, and each profile refused it; a table keeps what a change leaves out, where its kind has it."""
+    """The page once said this, and each profile refused it; a table keeps the entries that a change does not name, if its kind has them."""
     block = next(block for name, block in CODE if name == "docs/engines.md")
     wrong = block.replace('"reversed": True', '"reversed": False')
     assert wrong != block
@@ -285,7 +285,7 @@ CELLS = {
     "column -= mv.x": None,
     'aovs = "depth:depth, position:position, normal:sh_normal, albedo:albedo"': None,
 }
-"""Code in running text of the three pages -> whether it does what stands beside it; None: another test, or another program's."""
+"""Code in running text of the three pages -> whether it does what the text says; None: another test, or another program's code."""
 
 
 def test_code_in_running_text(demo, tmp_path, monkeypatch):
@@ -398,7 +398,7 @@ def test_the_profile_of_the_page_is_that_of_the_engines_page():
 
 
 def test_keys_of_a_profile():
-    """The page has the keys that there are, and each does what stands there."""
+    """The page has all keys, and each does what the page says."""
     section = page("profiles.md").split("## Keys")[1].split("\n## ")[0]
     rows = {
         key: row for row in section.splitlines() if row.startswith("| `") for key in re.findall(r"`([^`]+)`", row.split("|")[1])
@@ -468,7 +468,7 @@ def test_names_of_the_api():
 
 
 def test_materials_of_unreal_are_those_that_its_profile_reads():
-    """What the list of clicks calls them."""
+    """The names in the page's list of steps."""
     profile, text = stss.load_profile("unreal-mrq"), section_of("unreal-mrq")
     materials = set(re.findall(r"`(\w+)`", re.search(r"2\. Six materials(.*?)\*\*Do not", text, re.S)[1]))
     own = {"normal", "position", "stencil", "base_color", "roughness", "metallic"}

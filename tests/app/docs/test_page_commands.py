@@ -1,4 +1,4 @@
-"""Every command that a page shows runs as it stands there, on small frames; or it stands here with the reason why not."""
+"""Every command on a page runs unchanged, on small frames; or it is listed here with the reason why not."""
 
 import re
 import shlex
@@ -44,7 +44,7 @@ NOT_RUN = {
     r"stss parts ": "weights of others; tests/app/lab/test_parts.py runs it small",
     r"stss demo$": "half a minute; `make demo`, and tests/app/demo/test_demo.py small",
 }
-"""What stands at the beginning of a line -> why it is not run here."""
+"""The beginning of a line -> the reason not to run it here."""
 FRAMES = ("frames", "shot", "lr", "LR", "SEQUENCE", "FRAMES")
 TRUTH = ("truth", "full", "hr", "HR", "TRUTH")
 SIZE, COUNT = (16, 24), 12
@@ -115,7 +115,7 @@ def prepared(tmp_path_factory):
 
 
 def provide(prepared, words):
-    """Put what a command reads where it reads it, and take away what it writes."""
+    """Put the inputs of a command into place, and remove its outputs."""
     profile = words[words.index("--profile") + 1] if "--profile" in words else "stss"
     profile = "stss" if profile == "mine.toml" else profile
     for flag, word in zip(["", *words], words, strict=False):

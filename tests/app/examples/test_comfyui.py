@@ -16,13 +16,13 @@ PACK = Path(__file__).parents[3] / "examples" / "comfyui" / "__init__.py"
 
 
 class Tensor:
-    """What nodes use of PyTorch's, where that is not installed."""
+    """The parts of PyTorch that nodes use, if PyTorch is not installed."""
 
     def __init__(self, array):
         self.array, self.shape = array, array.shape
 
     def cpu(self):
-        """As it is."""
+        """The tensor itself."""
         return self
 
     def numpy(self):

@@ -43,7 +43,7 @@ SMALL = 24, 40
 
 
 def show(folder, **changes):
-    """What the engine's loop shows of twelve small frames, with `bilinear`; ``changes`` to the example, by name."""
+    """The images of the engine's loop for twelve small frames, with `bilinear`; ``changes`` to the example, by name."""
     example = runpy.run_path(str(EXAMPLES / "engine_loop.py"))
     example["main"].__globals__.update(changes)
     example["main"](folder, SMALL, 12, "bilinear")
@@ -51,7 +51,7 @@ def show(folder, **changes):
 
 
 def error(image, number, example):
-    """Mean distance to the full render without jitter, but for the spark."""
+    """Mean distance to the full render without jitter, except at the spark."""
     truth = example["EXPOSURE"] * render(example["SCENE"], number, *(2 * n for n in SMALL), samples=4).color
     y, x = (np.indices(image.shape[:2]) + 0.5) / image.shape[1]
     spark = (x - number / example["FRAMES"]) ** 2 + (y - 0.15) ** 2 < 0.05**2

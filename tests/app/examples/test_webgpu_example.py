@@ -1,4 +1,4 @@
-"""The port in WGSL, on whatever WebGPU device there is: wgpu-py finds GPUs, lavapipe, or the software device of Chromium."""
+"""The port in WGSL, on any WebGPU device: wgpu-py finds GPUs, lavapipe, or the software device of Chromium."""
 
 import importlib.util
 import json
@@ -42,7 +42,7 @@ def judged(folder, environment, stages):
 
 
 def software():
-    """Mesa's software device, or Chromium's, for whoever has no other."""
+    """Mesa's software device, or Chromium's, if there is no other."""
     for folder in SOFTWARE:
         for driver in (*folder.glob("lvp_icd*.json"), *folder.glob("vk_swiftshader_icd.json")):
             return {"VK_ICD_FILENAMES": str(driver), "LD_LIBRARY_PATH": str(folder)}

@@ -1,4 +1,4 @@
-"""The page that supersamples in the browser: its picture is the reference's."""
+"""The page that supersamples in the browser: its image is the reference's."""
 
 import subprocess
 import sys
@@ -24,7 +24,7 @@ SECOND = """
     while (state.textContent.startsWith("looking")) await new Promise((done) => setTimeout(done, 100));
     return [state.textContent, state.textContent.includes(" ms") ? [...(await view.eval("show(1)"))[0]] : []];
 """
-"""What the page says, and the picture of its second frame."""
+"""The page's text, and the image of its second frame."""
 
 
 def test_the_page_makes_the_references_picture(ask, tmp_path):

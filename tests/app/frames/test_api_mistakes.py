@@ -1,4 +1,4 @@
-"""What a program hands to `stss` and is of a wrong kind ends in one line of one of the four errors; the host's settings do no harm."""
+"""A value of a wrong type for `stss` gives one line of one of the four errors; the host program's settings do no harm."""
 
 import copy
 import datetime
@@ -24,7 +24,7 @@ from tests.app.frames.test_engine_loop import SIZE, engine, frames
 
 ERRORS = (InputError, DeviceError, ArrayError, WeightsError)
 WRONG = [5, 0.5, None, True, "x\0y", b"x", [], {}, object(), datetime.date(2026, 1, 1), np.zeros((2, 2)), np.array(["x"])]
-"""Of many kinds; an argument's test leaves out those that it takes."""
+"""Values of many types; an argument's test leaves out those that the argument accepts."""
 
 
 def buffers(**changes):
@@ -43,7 +43,7 @@ def stream():
     return Stream(random(0))
 
 
-CALLS = {  # what is called with a value -> the kinds of `WRONG` that it takes
+CALLS = {  # the call with a value -> the types of `WRONG` that it accepts
     "Supersampler(weights)": (lambda v: stss.Supersampler(v, backend="ref"), ()),
     "Supersampler(backend)": (lambda v: stss.Supersampler("bilinear", backend=v), ()),
     "Supersampler(device)": (lambda v: engine(device=v), (type(None),)),

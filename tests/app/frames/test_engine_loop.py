@@ -131,7 +131,7 @@ def test_object_numbers_that_run_together_are_refused(kind):
 
 
 def test_highlights_survive_and_nothing_else_changes():
-    """What lies above 1 comes out; where nothing does, and where the picture is not white, not a bit differs."""
+    """Light above 1 comes out; without such light, and where the image is not white, not a bit differs."""
     plain = list(engine()(frames(4, scale=0.5)))
     assert all(output.image.max() <= 1 for output in plain)
     bright = list(engine()(frames(4, scale=8)))
@@ -167,7 +167,7 @@ def test_supersample_is_the_loop_over_an_open_backend():
 
 
 def test_conventions_of_an_engine():
-    """Motion in NDC with y up and positions in metres give what pixels and centimetres give."""
+    """Motion in NDC with y up and positions in metres give the same as pixels and centimetres."""
     buffers = next(frames(1))
     rules = stss.load_profile("stss", units_per_cm=0.01, motion={"unit": "ndc", "y": "up"})
     names = ("color", "normal", "depth", "stencil", "nov", "base_color", "roughness", "metallic")

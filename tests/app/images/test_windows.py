@@ -175,7 +175,7 @@ def test_the_picture_alone_is_compared(overscan, tmp_path):
 
 
 def test_windows_that_lie_too_far_apart_are_refused(tmp_path):
-    """Before memory is taken for what lies between, and in one file as in several."""
+    """Before memory is taken for the space between, in one file and in several."""
     far = PixelWindow(16380, 16380, 8, 8)
     for number in (0, 1):
         channels = {name: plane[:8, :8] for name, plane in frame(0).items()}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Display frames without a network: what each method must keep, and how `stss methods` uses them."""
+"""Display frames without a network: properties of each method, and their use by `stss methods`."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def inside(image):
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("motion", [(0.3, -1.6), (np.nan, 0.0)])
 def test_one_colour_stays_one_colour(method, motion):
-    """Whatever moves, and after many frames."""
+    """For any movement, and after many frames."""
     color = np.broadcast_to(np.float32([0.2, 0.5, 0.9]), (H, W, 3))
     backend = MethodBackend(method)
     for steps in (SF, EF) * 2:
@@ -169,7 +169,7 @@ def test_taau_of_a_static_scene_is_its_upsampled_frame():
 
 
 def test_taau_takes_a_new_frame_by_its_count_within_its_neighbourhood():
-    """One pixel flickers between what its neighbours show: it is the second frame, and its samples lie a quarter pixel aside."""
+    """One pixel flickers between its neighbours' values; in the second frame samples lie a quarter pixel aside."""
     y, x = np.indices((H, W))
     checker = np.where((x + y) % 2, 0.8, 0.2)[..., None].repeat(3, axis=-1).astype(np.float32)
     backend = MethodBackend("taau")
@@ -181,7 +181,7 @@ def test_taau_takes_a_new_frame_by_its_count_within_its_neighbourhood():
 
 
 def test_taau_starts_anew_after_a_gap(write_frames):
-    """Frame numbers that do not follow each other, or another size: what comes then knows nothing of what was."""
+    """After a gap in the frame numbers, or another size, the next frame does not depend on earlier ones."""
     small = open_sequence(write_frames(range(8), rendered=range(0, 8, 2), size=(8, 12), folder="small"), "stss")
     large = open_sequence(write_frames(range(8), rendered=range(0, 8, 2), size=(10, 12), folder="large"), "stss")
     later = [small.load(number) for number in range(4, 8)]

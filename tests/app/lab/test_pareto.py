@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Run time against error: what is measured, and what is said of it."""
+"""Run time against error: the measurement, and the report."""
 
 from __future__ import annotations
 

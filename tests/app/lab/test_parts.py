@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""`stss parts`: each part is taken away, and nothing else is."""
+"""`stss parts`: each part is removed, and nothing else."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def test_an_erm_that_says_the_same_everywhere_is_its_mean():
 
 
 def test_the_command(tmp_path):
-    """A row for each weights and one for each part; weights that see nothing lose nothing."""
+    """A row for each set of weights and one for each part; weights that read nothing lose nothing."""
     write_demo_sequence(tmp_path / "demo", 8, (16, 24))
     save(tmp_path / "some.safetensors", table.random(3), {})
     sequence = tmp_path / "demo" / "frames", tmp_path / "demo" / "truth"
@@ -83,7 +83,7 @@ def test_the_command(tmp_path):
 
 
 def test_the_backend_reports_the_holes_of_the_whole(write_frames):
-    """The mask that is taken away is the network's, not that of the scores."""
+    """The removed mask is the network's, not that of the scores."""
     from stss.frames.supersampler import Supersampler
     from stss.sequence.reader import open_sequence
 

@@ -1,4 +1,4 @@
-"""The stress test of the arithmetic: its instruments, and what it found, as far as that is sure."""
+"""The stress test of the arithmetic: its instruments, and those of its findings that are certain."""
 
 import re
 from dataclasses import replace

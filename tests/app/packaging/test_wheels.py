@@ -1,4 +1,4 @@
-"""The wheels of program and judge: all that they read is in them, and they overwrite nothing of others."""
+"""The wheels of program and judge: they contain all files that they read, and overwrite none of other packages."""
 
 import json
 import os
@@ -26,7 +26,7 @@ DATA = (
     "stss_judge/conformance/examples/cpp/port.cpp",
 )
 ABSENT = ("pyopencl", "cv2", "OpenImageIO", "scipy", "torch", "matplotlib", "onnx")
-"""What the judge alone does without."""
+"""Packages that the judge alone does not need."""
 START = """
 import site, sys
 class Absent:

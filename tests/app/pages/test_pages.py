@@ -1,4 +1,4 @@
-"""Pages: what they hold, and what they do in a browser."""
+"""Pages: their content, and their behaviour in a browser."""
 
 import hashlib
 import json

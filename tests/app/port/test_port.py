@@ -1,4 +1,4 @@
-"""``stss port``: the project's backends as programs that are handed a job folder."""
+"""``stss port``: the project's backends as programs that get a job folder."""
 
 import json
 import os
@@ -56,7 +56,7 @@ def test_the_reference_as_a_program_has_the_bits_of_the_reference():
 
 
 def test_files_are_plain(job):
-    """Version 1.0, little-endian, C order, whatever the arrays were: what a porter's reader has to know."""
+    """Version 1.0, little-endian, C order, for arrays of any layout: this is all that a porter's reader must know."""
     case = smallest_case("frame")
     turned = {name: np.asfortranarray(a.astype(np.int64) if a.dtype == np.int32 else a) for name, a in case.inputs.items()}
     folder = job(Case("frame", turned, case.weights)) / "0000"
@@ -111,7 +111,7 @@ def rewritten(change):
 
 WEIGHTS = "0000/in/weights.safetensors"
 MALFORMED = [
-    # stage, what in its job becomes what, what is said of it
+    # stage, change of its job, message
     ("warp", "0000/in/motion.npy", saved(np.zeros((8, 8, 2))), "expected dtype float32, got float64"),
     ("warp", "0000/in/motion.npy", saved(np.zeros((0, 8, 2), "f4")), "expected shape (8, 8, 2), got (0, 8, 2)"),
     ("rrm", "0000/in/valid.npy", saved(np.full((8, 8), 255, "u1")), "expected 0 and 1, got 255, first at index (0, 0)"),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Flicker: what changes along the motion."""
+"""Flicker: changes along the motion."""
 
 from __future__ import annotations
 

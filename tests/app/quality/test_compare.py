@@ -108,7 +108,7 @@ def test_the_holes_of_static_surfaces_are_a_mean(out, truth):
 
 
 def test_holes_are_those_of_another_run_where_it_is_named(out, truth, tmp_path):
-    """Whose errors are scored depends on the mask, so its share is said; a frame without a mask there is not scored."""
+    """The scored errors depend on the mask, so the report states its share; a frame without a mask there is not scored."""
     for number, off in ((1, 4), (3, 4)):
         write_pair(out, truth, number, "EF", off)
     image = np.array(flat(100))
@@ -262,7 +262,7 @@ def test_wrong_labels_are_named(out, truth, label, value, message):
         compare(out, truth)
     write_rgb(out / "frame.0003.png", flat(1), metadata=labels("SF"))
     write_pair(out, truth, 4, None, 1)
-    with pytest.raises(InputError, match="frame 4 without stss:kind"):  # means over a mixture would mean nothing
+    with pytest.raises(InputError, match="frame 4 without stss:kind"):  # means over a mixture would be meaningless
         compare(out, truth)
 
 

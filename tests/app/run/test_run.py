@@ -1,4 +1,4 @@
-"""The main job: steps that overlap, and what that must not change."""
+"""The main job: steps overlap, which must not change the result."""
 
 import threading
 import time
@@ -36,7 +36,7 @@ def _no_thread_is_left():
 
 
 class Steps:
-    """Steps that note what they do, in order, and fail where told."""
+    """Steps that record their work, in order, and fail at a given item."""
 
     def __init__(self, fail=None):
         self.log, self._fail = [], fail or {}
@@ -178,7 +178,7 @@ ORDER = tuple(map(float, range(16)))
 
 
 def test_alpha_highlights_layers_and_metadata_come_out(write_frames, tmp_path):
-    """A sequence with alpha, highlights of 10 and a light pass, a cut, and what a compositor needs in its headers."""
+    """A sequence with alpha, highlights of 10 and a light pass, a cut, and a compositor's metadata."""
 
     def change(number, channels):
         if "R" in channels:
@@ -256,7 +256,7 @@ def linear_frames(write_frames, **metadata):
 
 
 def test_a_png_is_tagged_as_what_it_is(write_frames, tmp_path):
-    """sRGB, whatever the input's colours were; what has no place in it is told."""
+    """sRGB, for any colours of the input; the run says what a PNG lacks."""
     wide = 0.708, 0.292, 0.17, 0.797, 0.131, 0.046, 0.3127, 0.329
     folder = linear_frames(write_frames, chromaticities=wide)
     result = call("run", folder, "-o", tmp_path / "out", *PLAIN, "--format", "png", "--also", "basecolor")

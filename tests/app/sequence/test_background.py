@@ -1,4 +1,4 @@
-"""The motion of the background: what `stss check` says of it, and how it is computed from the camera."""
+"""The motion of the background: the findings of `stss check`, and the computation from the camera."""
 
 import numpy as np
 import pytest

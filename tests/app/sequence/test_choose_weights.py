@@ -1,4 +1,4 @@
-"""The weights that suit a sequence are chosen from its frames, once, and are said everywhere."""
+"""The frames of a sequence choose the weights, once, and every command says which."""
 
 import json
 from dataclasses import replace
@@ -64,7 +64,7 @@ def test_frames_say_how_they_were_sampled(rendered, kind, antialiased, reason):
 @pytest.mark.parametrize("compression", ["zip", "pxr24", "dwaa:45", "dwab:200", "dwaa"])
 @pytest.mark.parametrize("kind", ["aliased", "all"])
 def test_mixed_normals_are_seen_behind_lossy_compression(rendered, tmp_path, kind, compression):
-    """Colours alone would not tell: those of the antialiased frames are aliased here."""
+    """Colours alone do not decide: those of the antialiased frames are aliased here."""
     for number in range(2):
         path, colors = demo_path(rendered / kind, number), demo_path(rendered / "aliased", number)
         channels = {
@@ -102,7 +102,7 @@ def test_each_part_has_its_own_compression(rendered, tmp_path, beauty, others):
 
 
 def test_where_nothing_is_to_be_chosen_nothing_is_said(rendered):
-    """A name overrides the frames, and a method without a network needs none; a wrong name is wrong all the same."""
+    """A name overrides the frames, and a method without a network needs no weights; a wrong name is still an error."""
     lines, sequence = [], open_sequence(rendered / "aliased", "stss")
     assert choose_weights("antialiased", sequence, lines.append).source == "antialiased"
     assert choose_weights(AUTO, sequence, lines.append, needed=False).source == "bilinear"

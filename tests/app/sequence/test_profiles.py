@@ -68,7 +68,7 @@ def test_each_mistake_is_named(tmp_path, old, new, message):
 
 
 def test_a_profile_may_say_only_what_it_changes(tmp_path):
-    """As `load_profile` takes it: tables keep what a change leaves out, and the name is the file's."""
+    """As in `load_profile`: tables keep the entries that a change does not name, and the name is the file's."""
     path = tmp_path / "mine.toml"
     path.write_text(
         'base = "stss"\nunits_per_cm = 0.01\nmotion = {unit = "uv"}\ndepth = {kind = "device", near = 0.1, far = inf, reversed = true}'
@@ -139,7 +139,7 @@ def test_a_file_for_each_pass_is_found_by_the_names_of_every_blender(tmp_path, n
     (["Front", "Composite"], ["Front, Composite"]),
 ])  # fmt: skip
 def test_a_layer_read_alone_is_said(tmp_path, layers, said):
-    """Blender's compositor writes a colour, too, which nobody reads."""
+    """Blender's compositor writes a colour, too, which is not read."""
     names = [f"{layers[0]}.{name}" for name in FILE_OUTPUT] + [
         f"{layer}.Image.{letter}" for layer in layers[1:] for letter in "RGBA"
     ]
@@ -166,7 +166,7 @@ def test_a_file_for_each_pass_is_found(tmp_path):
 
 
 def test_all_buffers_that_are_missing_are_said_at_once(tmp_path):
-    """An artist who adds one pass and renders again learns of no second one then."""
+    """An artist who adds one pass and renders again must not hear of a second missing one then."""
     names = [n for n in FILE_OUTPUT if not n.startswith(("metallic", "roughness", "IndexOB"))]
     write_channels(tmp_path / "a.0001.exr", {n: np.ones((4, 4)) for n in names})
     with pytest.raises(InputError) as error:
