@@ -35,10 +35,10 @@ MANY = 0.2
 """Share of holes among static surfaces, from which there is a warning, if motion and positions agree."""
 PROPORTIONAL = 0.05
 """Largest median deviation of depths from the distance along the view, as a share of it."""
-ALONG = 0.9
-"""Least cosine between a stored normal and the normal of the surface that positions form."""
-AGREE, DISAGREE = 0.9, 0.8
-"""Share of the surfaces with such normals: at least the first value means that they agree, less than the second that they do not."""
+TILT = 5.0
+"""Degrees: the least median angle between stored normals and those of the surfaces that positions form, from which there is a warning."""
+LATE = 0.25
+"""A plane is of another frame if its error is then below this share of its error now."""
 MOVERS = 0.01
 """Share of the surfaces with stencil 0 that move by themselves, from which there is a warning."""
 MOVER = 0.5
@@ -59,7 +59,8 @@ class StaticVerdict:
         relative: positions begin at the camera in every frame, although motion says that the camera moves.
         fit: true motion over stored motion by least squares, ``(scale, offset)`` for x and y.
         depth: median deviation from the distance along the view; -1 where depth falls with distance.
-        normals: share of the surfaces with a right normal, as stored and after the one rotation that fits best.
+        late: the same of the depth of the frame before by these positions, and of this depth by the positions of the frame before.
+        normals: median angle between normals and surfaces, as stored and after the one rotation that fits best; degrees.
         holes: share of the static surfaces that are holes, over one frame; motion that leads off the frame does not count.
         movers: share of the static surfaces whose motion is not that of static geometry, while the motion of the others is.
     """
@@ -71,6 +72,7 @@ class StaticVerdict:
     relative: bool
     fit: tuple[tuple[float, float], ...]
     depth: float
+    late: tuple[float, float]
     normals: tuple[float, float]
     holes: float
     movers: float
@@ -79,6 +81,13 @@ class StaticVerdict:
     def agrees(self) -> bool:
         """Whether the stored motion agrees with the positions."""
         return self.error <= max(AGREES, 3 * self.residual)
+
+    @property
+    def lags(self) -> str:
+        """The plane that is that of the frame before: position, depth, or none."""
+        own = self.depth if self.depth >= 0 else np.inf
+        fits = (name for name, error in zip(("position", "depth"), self.late, strict=True) if 0 <= error < LATE * own)
+        return next(fits, "")
 
     def lines(self) -> list[Line]:
         """Findings."""
@@ -118,15 +127,9 @@ class StaticVerdict:
         if self.agrees and self.movers > MOVERS:
             text = f"stencil: 0 on {self.movers:.1%} of the surfaces, though their motion shows that they move"
             lines.append(("warning", f"{text}: give every moving object a number above 0, or is their motion wrong?"))
-        if self.depth < 0:
-            lines.append(
-                ("warning", "depth: falls where the distance of positions grows; expected linear depth, it looks reversed")
-            )
-        elif self.depth > PROPORTIONAL:
-            text = f"depth: {self.depth:.0%} off a depth in proportion to the view distance of positions"
-            lines.append(("warning", f"{text}; expected linear depth, not that of a depth buffer"))
-        along, turned = self.normals
-        if along < DISAGREE and turned > AGREE:
+        lines += self._depths()
+        stored, turned = self.normals
+        if stored > TILT and turned < LATE * stored:
             lines.append(
                 (
                     "warning",
@@ -134,6 +137,17 @@ class StaticVerdict:
                 )
             )
         return lines
+
+    def _depths(self) -> list[Line]:
+        if self.lags:
+            other = "depth" if self.lags == "position" else "position"
+            return [("warning", f"{self.lags}: that of the frame before, by {other}; expected planes of one moment")]
+        if self.depth < 0:
+            return [("warning", "depth: falls where the distance of positions grows; expected linear depth, it looks reversed")]
+        if self.depth > PROPORTIONAL:
+            text = f"depth: {self.depth:.0%} off a depth in proportion to the view distance of positions"
+            return [("warning", f"{text}; expected linear depth, not that of a depth buffer")]
+        return []
 
 
 @dataclass(frozen=True)
@@ -184,11 +198,12 @@ class StaticGeometry:
 
     def lines(self) -> list[Line]:
         """Findings."""
+        late = self.positions is not None and self.positions.lags == "position"  # they are not those of what is static now
         repeated = f"position: frames {', '.join(map(str, self.repeated))} repeat that of the frame before"
         return [
             *([("warning", f"{repeated}; every display frame needs its own G-buffer")] if self.repeated else []),
             *([] if self.positions is None else self.positions.lines()),
-            *([] if self.background is None else self.background.lines()),
+            *([] if self.background is None or late else self.background.lines()),
             *(("warning", text) for text in self.jitter.lines),
         ]
 
@@ -230,7 +245,8 @@ def judge_static_geometry(pairs: Iterable[tuple[Buffers, Buffers]]) -> StaticGeo
         valid, inside = holes(now.motion, *surfaces, now.nov, now.depth), leads_inside(follow(now.motion))
         share = static_holes(np.where(inside, now.stencil, 1), now.normal, valid) or 0.0
         movers = _movers(here[:, ::-1], np.linalg.norm(there[kept] - here - motions[0], axis=-1), size)
-        single.append((max(earlier.residual, current.residual), _depth(now, current), *_normals(now), share, movers))
+        depths = (_depth(a.depth, b, by) for a, b, by in ((now, now, current), (before, now, current), (now, before, earlier)))
+        single.append((max(earlier.residual, current.residual), *depths, *_normals(now), share, movers))
     positions = _verdict(samples, single, size, mirrored=mirrored, relative=relative) if samples else None
     background = None
     if sky:
@@ -269,7 +285,7 @@ def _verdict(
     relative: bool,
 ) -> StaticVerdict:
     true, motion, reversed_rows = (np.concatenate(of) for of in zip(*samples, strict=True))
-    residual, depth, along, turned, share, movers = (float(np.median(of)) for of in zip(*single, strict=True))
+    residual, depth, early, late, stored, turned, share, movers = (float(np.median(of)) for of in zip(*single, strict=True))
     errors = {what: _error(true, guess) for what, guess in _guesses(motion, reversed_rows, size, mirrored=mirrored).items()}
     own, best = errors.pop(""), min(errors, key=lambda what: errors[what])
     fit = tuple(_line(true[:, k], motion[:, k]) for k in (0, 1))
@@ -283,7 +299,9 @@ def _verdict(
         best, tells = "0, though the camera moves", True
     if moves <= 3 * residual and claims > MOVES:
         best, tells = "right if positions are the camera's: are they in view space, or relative to the camera?", True
-    return StaticVerdict(len(true), residual, own, best if tells else "", relative, fit, depth, (along, turned), share, movers)
+    return StaticVerdict(
+        len(true), residual, own, best if tells else "", relative, fit, depth, (early, late), (stored, turned), share, movers
+    )
 
 
 def _movers(places: NDArray[np.intp], apart: Array, size: tuple[int, int]) -> float:
@@ -364,11 +382,13 @@ def _line(true: Array, motion: Array) -> tuple[float, float]:
     return scale, offset
 
 
-def _depth(frame: Buffers, projection: Projection) -> float:
-    """Median deviation of depth from a multiple of the distance along the view; -1 where it falls with distance."""
-    seen = static_surfaces(frame)
+def _depth(plane: Array, frame: Buffers, projection: Projection) -> float:
+    """Median deviation of depths from a multiple of the distance along the view of a frame's positions; -1 where they fall with it."""
+    seen = static_surfaces(frame) & np.isfinite(plane)
+    if seen.sum() < 2:
+        return np.inf
     away = projection.project(frame.position[seen].astype(np.float64))[1]
-    depth = frame.depth[seen].astype(np.float64)
+    depth = plane[seen].astype(np.float64)
     if np.cov(depth, away)[0, 1] < 0:
         return -1.0
     scale = float(np.median(depth / away))
@@ -376,7 +396,7 @@ def _depth(frame: Buffers, projection: Projection) -> float:
 
 
 def _normals(frame: Buffers) -> tuple[float, float]:
-    """The share of flat surfaces along which normals point, as stored and after the best turn; (1, 1) where nothing is flat."""
+    """The median angle between normals and flat surfaces, as stored and after the best turn; degrees; 0 where nothing is flat."""
     p = frame.position.astype(np.float64)
     with np.errstate(invalid="ignore", divide="ignore"):
         across, down = (p[1:-1, 2:] - p[1:-1, :-2]), (p[2:, 1:-1] - p[:-2, 1:-1])
@@ -386,9 +406,12 @@ def _normals(frame: Buffers) -> tuple[float, float]:
         normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
     used = flat & np.isfinite(normals).all(axis=-1) & static_surfaces(frame)[1:-1, 1:-1]
     if not used.any():
-        return 1.0, 1.0
+        return 0.0, 0.0
     a, b = frame.normal[1:-1, 1:-1][used].astype(np.float64), normals[used]
     u, _, v = np.linalg.svd(a.T @ b)  # the cross product may point away from the camera, but then it does so everywhere
     sign = np.sign(np.median((a * b).sum(axis=-1)))
-    along, turned = (float(((of * b).sum(axis=-1) > ALONG).mean()) for of in (sign * a, a @ (u @ v)))
-    return along, turned
+    a /= np.linalg.norm(a, axis=-1, keepdims=True)  # a mixture of several is shorter
+    stored, turned = (
+        float(np.degrees(np.median(np.arccos(np.clip((of * b).sum(axis=-1), -1, 1))))) for of in (sign * a, a @ (u @ v))
+    )
+    return stored, turned

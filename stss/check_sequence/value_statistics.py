@@ -154,7 +154,7 @@ class Values:
         lines: list[Line] = []
         if not self._counts["hit"]:
             lines.append(("warning", "depth: nothing was hit anywhere; expected linear depths > 0"))
-        elif not self._counts["negative normals"]:
+        elif not self._counts["negative normals"] and self._share("not unit") > 0.5:  # else no such side is in sight
             lines.append(("warning", "normal: no negative component anywhere; expected -1..1, it looks like 0..1"))
         elif share := self._share("not unit"):
             level: Level = "warning" if share > 0.2 else "note"

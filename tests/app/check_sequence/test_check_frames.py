@@ -1,6 +1,7 @@
 """An engine's frames in memory are checked as its files would be."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -41,11 +42,14 @@ def test_the_lines_are_those_of_files(folder, frames):
     assert any(text.startswith("motion: right to ") for _, text in lines)
 
 
+TURN = np.float32([[1, 0, 0], [0, np.cos(0.14), np.sin(0.14)], [0, -np.sin(0.14), np.cos(0.14)]])
+"""Of a camera that looks down by 8 degrees."""
 MISTAKES = {
     "motion: seems to be from the frame before": lambda f: replace(f, motion=-f.motion),
     "motion: seems to be in UV": lambda f: replace(f, motion=f.motion / np.float32([96, 54])),
     "stencil: 0 on ": lambda f: replace(f, stencil=0 * f.stencil),
     "normal: no negative component": lambda f: replace(f, normal=f.normal / 2 + 0.5),
+    "normal: rotated against positions": lambda f: replace(f, normal=f.normal @ TURN),
     "background: its motion is 0": lambda f: replace(f, motion=np.where(np.isfinite(f.depth)[..., None], f.motion, 0)),
     "colour: looks encoded": lambda f: f if f.color is None else replace(f, color=f.color.clip(0, 1) ** np.float32(1 / 2.2)),
 }
@@ -56,6 +60,20 @@ def test_each_mistake_is_a_warning_and_comes_first(frames, said):
     lines = stss.check_frames(map(MISTAKES[said], frames))
     assert lines[0][0] == "warning"
     assert any(level == "warning" and text.startswith(said) for level, text in lines), lines
+
+
+@pytest.mark.parametrize("late", ["position", "depth"])
+def test_a_plane_of_the_frame_before_is_named(frames, late):
+    """As a constant buffer that is updated after the draw leaves it."""
+    mixed = [replace(now, **{late: getattr(before, late)}) for before, now in pairwise(frames)]
+    lines = stss.check_frames(mixed)
+    other = {"position": "depth", "depth": "position"}[late]
+    assert ("warning", f"{late}: that of the frame before, by {other}; expected planes of one moment") in lines
+
+
+def test_a_scene_may_show_no_side_with_a_negative_normal(frames):
+    lines = stss.check_frames(replace(f, normal=np.abs(f.normal)) for f in frames)
+    assert not [text for _, text in lines if "no negative component" in text]
 
 
 def test_frames_that_tell_nothing_are_refused(frames):
