@@ -112,9 +112,12 @@ def missing_decisions(path):
     """Decisions that a page or a comment names by number and that are not there."""
     text = re.sub(r"\s+(?://|#)?\s*", " ", prose(path) if path.suffix == ".md" else comments(path))
     pages = {int(page.name[:4]) for page in (ROOT / "docs" / "decisions").glob("0*.md")}
-    for number in re.findall(r"(?<!its )\bdecisions? (\d+)\b|\bdecisions/[\w.-]+, (0\d{3})\b", text):
-        if int("".join(number)) not in pages:
-            yield f"decision {''.join(number)} is not there"
+    named = re.findall(
+        r"(?<!its )\bdecision (\d+)\b|(?<!its )\bdecisions ((?:\d+(?:, | and )?)+)|\bdecisions/[\w.-]+, (0\d{3})\b", text
+    )
+    for number in re.findall(r"\d+", " ".join(" ".join(words) for words in named)):
+        if int(number) not in pages:
+            yield f"decision {number} is not there"
 
 
 def missing_references(path):
