@@ -28,7 +28,7 @@ class _Place(click.Path):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """The path; an empty one is the user's mistake."""
-        return super().convert(_given(self, value, param, ctx), param, ctx)
+        return super().convert(_require_name(self, value, param, ctx), param, ctx)
 
 
 class ReadPath(_Place):
@@ -46,7 +46,7 @@ class ReadName(click.ParamType):  # pyright: ignore[reportMissingTypeArgument]
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
         """The text as it is; an empty one is the user's mistake."""
-        return str(_given(self, value, param, ctx))
+        return str(_require_name(self, value, param, ctx))
 
     def reads(self, value: str) -> list[Path]:
         """The path that is read, if it is a file."""
@@ -114,7 +114,7 @@ class Size(click.ParamType):  # pyright: ignore[reportMissingTypeArgument]
         return height, width
 
 
-def _given(kind: click.ParamType[Any], value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+def _require_name(kind: click.ParamType[Any], value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
     if value == "":
         kind.fail("expected a name, got an empty text; is a variable of a script not set?", param, ctx)
     return value

@@ -29,12 +29,12 @@ def stress_command(backend: str, device: str | None, weights: str | None, only: 
 
     check_names(only)
     tensors = None if weights is None else load(weights).weights
-    opened = _open(backend, device)
-    plan = make_plan(opened, tensors)
+    chosen_device = _open(backend, device)
+    plan = make_plan(chosen_device, tensors)
     console = Terminal(stderr=True)
     with show_progress(console, len(only or MEASUREMENTS), "measurements") as advance:
         tables = stress(plan, only, on_step=advance)
-    print_tables(tables, plan, None if opened is None else f"{opened.name}, {opened.driver}", Terminal())
+    print_tables(tables, plan, None if chosen_device is None else f"{chosen_device.name}, {chosen_device.driver}", Terminal())
 
 
 def _open(backend: str, device: str | None) -> Any:

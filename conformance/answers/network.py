@@ -39,7 +39,7 @@ RUNS = 3
 """Runs with changed weights; every number of every output is a sample."""
 MOST_SETS = 8
 """Sets of weights whose changed forms are kept: cases share them."""
-_made: dict[tuple[int, Arithmetic], tuple[Weights, tuple[Weights, list[Weights], Weights]]] = {}
+_forms: dict[tuple[int, Arithmetic], tuple[Weights, tuple[Weights, list[Weights], Weights]]] = {}
 """By the identity of a set, which is kept alive, so that no other set gets its address."""
 
 
@@ -145,13 +145,13 @@ def layer_change(terms: int, arithmetic: Arithmetic) -> float:
 def _variants(weights: Weights, arithmetic: Arithmetic) -> tuple[Weights, list[Weights], Weights]:
     """The weights in float64: as they are, with changes of the size of rounding, and with all gates open; those of the last few sets."""
     key = id(weights), arithmetic
-    if key not in _made:
-        if len(_made) == MOST_SETS:
-            _made.pop(next(iter(_made)))
+    if key not in _forms:
+        if len(_forms) == MOST_SETS:
+            _forms.pop(next(iter(_forms)))
         exact, random = astype(weights, np.dtype(np.float64)), np.random.default_rng(0)
         changes = _changes(exact, arithmetic)
-        _made[key] = weights, (exact, [_changed(exact, changes, random) for _ in range(RUNS)], _opened(exact))
-    return _made[key][1]
+        _forms[key] = weights, (exact, [_change(exact, changes, random) for _ in range(RUNS)], _open_gates(exact))
+    return _forms[key][1]
 
 
 def _changes(weights: Weights, arithmetic: Arithmetic) -> Tensors:
@@ -167,7 +167,7 @@ def _changes(weights: Weights, arithmetic: Arithmetic) -> Tensors:
     return changes
 
 
-def _changed(weights: Weights, changes: Tensors, random: np.random.Generator) -> Weights:
+def _change(weights: Weights, changes: Tensors, random: np.random.Generator) -> Weights:
     """Drawn by name, so that the same weights have the same bounds for any order of their tensors."""
     arrays = {
         name: weights[name] + changes[name] * (2 * random.random(weights[name].shape, np.float32) - 1) for name in sorted(weights)
@@ -175,7 +175,7 @@ def _changed(weights: Weights, changes: Tensors, random: np.random.Generator) ->
     return replace(weights, tensors=arrays)
 
 
-def _opened(weights: Weights) -> Weights:
+def _open_gates(weights: Weights) -> Weights:
     """The weights with all gates open: they give the features, which the rounding error of even a nearly closed gate multiplies."""
     gates = {name: tensor * 0 + (OPEN if name.endswith("bias") else 0) for name, tensor in weights.items() if "conv_mask" in name}
     return weights | gates

@@ -61,7 +61,7 @@ class Arithmetic:
     def holds(self, x: Float64) -> Bool:
         """Where ``x`` is a number that the arithmetic has exactly."""
         with np.errstate(over="ignore"):
-            return np.asarray(self._stored(x) == x)
+            return np.asarray(self._store(x) == x)
 
     def rounded(self, x: NDArray[Any], most: float | None = None) -> NDArray[Any]:
         """``x`` rounded to the port's numbers, as float32, finite where ``x`` is and at most ``most``; other kinds unchanged."""
@@ -69,7 +69,7 @@ class Arithmetic:
             return np.ascontiguousarray(x)
         most = LIMITS[self.dtype][0] if most is None else most
         with np.errstate(over="ignore"):
-            numbers = self._stored(np.where(np.isfinite(x), np.clip(x, -most, most), x))
+            numbers = self._store(np.where(np.isfinite(x), np.clip(x, -most, most), x))
         return np.ascontiguousarray(numbers.astype(np.float32))
 
     def normal(self, x: NDArray[Any]) -> NDArray[Any]:
@@ -77,7 +77,7 @@ class Arithmetic:
         numbers = self.rounded(x)
         return np.where(np.abs(numbers) < self.tiny, numbers.dtype.type(0), numbers)
 
-    def _stored(self, x: NDArray[Any]) -> NDArray[Any]:
+    def _store(self, x: NDArray[Any]) -> NDArray[Any]:
         """``x`` in the arithmetic's numbers, the nearest, ties to even."""
         if self.dtype != "bfloat16":
             return x.astype(self.dtype)

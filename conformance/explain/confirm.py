@@ -44,10 +44,10 @@ def confirm(judge: Judge, body: Body, small: Failure, first: Failure) -> Failure
         if len(before) == len(first.before):
             break
         few *= 2
-    return _counted(judge, body, replace(first, before=()))
+    return _count_failures(judge, body, replace(first, before=()))
 
 
-def _counted(judge: Judge, body: Body, failure: Failure) -> Failure:
+def _count_failures(judge: Judge, body: Body, failure: Failure) -> Failure:
     """Run a case alone many times, and count its failures."""
     end = monotonic() + MOST_SECONDS
     times = times_wrong = 0

@@ -69,13 +69,13 @@ def diagnose(judge: Judge, findings: Iterable[Finding]) -> str:
     matches: list[tuple[float, Mistake]] = []
     for tried, mistake in enumerate(mistakes):
         if process_time() > end or (mistake in RARE and any(each not in RARE for _, each in matches)):
-            return _named(matches, tried)
+            return _describe(matches, tried)
         distances = [_distance(mistake, failed[0])]
         if distances[0] < np.inf:
             distances += [_distance(mistake, each) for each in [*failed[1:], *others]]
         if max(distances) < np.inf:
             matches.append((distances[0], mistake))
-    return _named(matches, len(mistakes))
+    return _describe(matches, len(mistakes))
 
 
 def _again(judge: Judge, finding: Finding) -> _Answered | None:
@@ -143,7 +143,7 @@ def _distance(mistake: Mistake, answered: _Answered) -> float:
     return max(distances)
 
 
-def _named(matches: list[tuple[float, Mistake]], tried: int) -> str:
+def _describe(matches: list[tuple[float, Mistake]], tried: int) -> str:
     if not tried:
         return "no mistake of this stage is known to compare with"
     if not matches:

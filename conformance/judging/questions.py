@@ -52,7 +52,7 @@ def answers_of(port: Port, abilities: Abilities, cases: Sequence[Case]) -> list[
     """A port's answers to cases in this order: outputs, or an error. A program computes many of them at one start."""
     if (run_many := abilities.run_many) is None:
         return [_answer(port, case) for case in cases]
-    return [answer for some in _batches(cases) for answer in _computed(port.name, run_many, some)]
+    return [answer for some in _batches(cases) for answer in _run_once(port.name, run_many, some)]
 
 
 def _answer(port: Port, case: Case) -> Answer:
@@ -70,7 +70,7 @@ def _answer(port: Port, case: Case) -> Answer:
         return PortError(f"{type(error).__name__}: {error}")
 
 
-def _computed(name: str, run_many: RunMany, cases: Sequence[Case]) -> list[Answer]:
+def _run_once(name: str, run_many: RunMany, cases: Sequence[Case]) -> list[Answer]:
     """The answers of one start. If it fails at a case, that case is asked alone."""
     try:
         answers = run_many(cases)
@@ -78,7 +78,7 @@ def _computed(name: str, run_many: RunMany, cases: Sequence[Case]) -> list[Answe
         if len(cases) == 1:
             return [error]
         at = len(cases) - 1 if error.at is None else error.at
-        (alone,) = _computed(name, run_many, [cases[at]])
+        (alone,) = _run_once(name, run_many, [cases[at]])
         if not isinstance(alone, PortError):
             alone = PortError(f"passes alone, but failed as one of {len(cases)} in a job: {error}")
         return [alone if number == at else None for number in range(len(cases))]

@@ -89,21 +89,21 @@ class MadeCases:
     """
 
     def __init__(self, makers: Makers | Callable[[Judge], Makers], about: Callable[[Maker], str] = lambda _: ""):
-        self._made, self._about = makers, about
+        self._makers, self._about = makers, about
 
     def cases(self, judge: Judge) -> list[Any]:
         """The cases."""
-        return [make(np.random.default_rng(judge.seed)) for make in self._chosen(judge)]
+        return [make(np.random.default_rng(judge.seed)) for make in self._makers_for(judge)]
 
     def check(self, judge: Judge, body: Body) -> None:
         """Run ``body`` on the cases; DepartureError if the property does not hold, with the failure in the judge's ``record``."""
         wrong = judge.first_wrong(body, self.cases(judge))
         if wrong is not None:
-            judge.record.about = self._about(self._chosen(judge)[wrong]) or judge.record.about
+            judge.record.about = self._about(self._makers_for(judge)[wrong]) or judge.record.about
             raise DepartureError(judge.failure().finding)
 
-    def _chosen(self, judge: Judge) -> Makers:
-        return self._made(judge) if callable(self._made) else self._made
+    def _makers_for(self, judge: Judge) -> Makers:
+        return self._makers(judge) if callable(self._makers) else self._makers
 
 
 class EnoughError(BaseException):

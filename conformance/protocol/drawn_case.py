@@ -30,13 +30,13 @@ def fingerprint(case: Any) -> bytes:
     """A digest that is equal for equal cases: of floats in float32, as ports get them, since float64's last bits depend on the machine."""
     digest = hashlib.blake2b()
 
-    def noted(array: AnyArray) -> str:
+    def note(array: AnyArray) -> str:
         with np.errstate(over="ignore"):
             numbers = array.astype("<f4", copy=False) if array.dtype.kind == "f" else array
         digest.update(np.ascontiguousarray(numbers).data)
         return f"{numbers.shape}{numbers.dtype}"
 
-    digest.update(json.dumps(_written(case, noted)).encode())
+    digest.update(json.dumps(_to_json(case, note)).encode())
     return digest.digest()
 
 
@@ -48,29 +48,29 @@ def write_drawn(folder: Path, test: str, case: Any) -> None:
     """
     arrays: dict[int, tuple[str, AnyArray]] = {}
 
-    def noted(array: AnyArray) -> str:
+    def note(array: AnyArray) -> str:
         name, _ = arrays.setdefault(id(array), (f"{len(arrays):04d}.npy", array))
         return name
 
-    text = json.dumps({"test": test, "drawn": _written(case, noted)})
+    text = json.dumps({"test": test, "drawn": _to_json(case, note)})
     (folder / PROPERTY).write_text(text, encoding="utf-8")
     for name, array in arrays.values():
         np.save(folder / name, np.ascontiguousarray(array), allow_pickle=False)
 
 
-def _written(value: Any, noted: Callable[[AnyArray], str]) -> Any:
+def _to_json(value: Any, note: Callable[[AnyArray], str]) -> Any:
     if value is None or isinstance(value, (bool, int, str)):
         return value
     if isinstance(value, (float, np.floating, np.integer, np.bool_)):
         return {"float": repr(float(value))} if isinstance(value, (float, np.floating)) else value.item()
     if isinstance(value, np.ndarray):
-        return {"array": noted(value)}
+        return {"array": note(value)}
     if isinstance(value, (list, tuple)):
-        return {type(value).__name__: [_written(item, noted) for item in value]}
+        return {type(value).__name__: [_to_json(item, note) for item in value]}
     if isinstance(value, Weights):
-        return {"weights": [value.second_color, value.hole_test, value.hole_fill, _written(dict(value), noted)]}
+        return {"weights": [value.second_color, value.hole_test, value.hole_fill, _to_json(dict(value), note)]}
     if isinstance(value, dict) and all(isinstance(key, str) for key in value):
-        return {"dict": {key: _written(item, noted) for key, item in value.items()}}
+        return {"dict": {key: _to_json(item, note) for key, item in value.items()}}
     raise TypeError(f"expected numbers, words, lists and arrays, got {type(value).__name__}")
 
 

@@ -365,7 +365,7 @@ def read_array(path: Path) -> AnyArray:
     array = _mapped(path)
     if array.nbytes > MOST_BYTES:
         raise JobError(f"{path}: expected up to {MOST_BYTES >> 30} GiB")
-    return _loaded(array)
+    return _load(array)
 
 
 def _mapped(path: Path) -> AnyArray:
@@ -392,7 +392,7 @@ def _require_short_header(path: Path) -> None:
         raise ValueError(f"its header claims {length} bytes, expected up to {MOST_HEADER}")
 
 
-def _loaded(array: AnyArray) -> AnyArray:
+def _load(array: AnyArray) -> AnyArray:
     return np.array(array, array.dtype.newbyteorder("="), order="C", subok=False)
 
 
@@ -406,6 +406,6 @@ def _read_arrays(folder: Path, specs: Mapping[str, ArraySpec], fits: Callable[[A
     """The arrays of these names; ``fits`` is called before the first number is read, and raises ArrayError."""
     mapped = {name: _mapped(folder / f"{name}.npy") for name in specs}
     fits(mapped)
-    arrays = {name: _loaded(array) for name, array in mapped.items()}
+    arrays = {name: _load(array) for name, array in mapped.items()}
     check_numbers(specs, arrays, lambda name: f"{folder / name}.npy")
     return arrays

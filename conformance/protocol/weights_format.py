@@ -46,15 +46,17 @@ def take_format(metadata: dict[str, str]) -> Weights:
     if version == NEWEST_ALONE:
         return Weights({})
     seconds = SECOND_COLORS[:1] if version == WITH_HOLE_TEST else SECOND_COLORS
-    second: SecondColor = _named(metadata, SECOND_COLOR_KEY, seconds)
-    test: HoleTest = _named(metadata, HOLE_TEST_KEY, HOLE_TESTS)
-    return Weights({}, second, test, _named(metadata, HOLE_FILL_KEY, HOLE_FILLS) if version == WITH_RESHADE else HOLE_FILLS[0])
+    second: SecondColor = _take_name(metadata, SECOND_COLOR_KEY, seconds)
+    test: HoleTest = _take_name(metadata, HOLE_TEST_KEY, HOLE_TESTS)
+    return Weights(
+        {}, second, test, _take_name(metadata, HOLE_FILL_KEY, HOLE_FILLS) if version == WITH_RESHADE else HOLE_FILLS[0]
+    )
 
 
 Name = TypeVar("Name", bound=str)
 
 
-def _named(metadata: dict[str, str], key: str, names: tuple[Name, ...]) -> Name:
+def _take_name(metadata: dict[str, str], key: str, names: tuple[Name, ...]) -> Name:
     named = metadata.pop(key, "")
     for name in names:
         if named == name:

@@ -179,7 +179,7 @@ class SuitePlugin:
         if reasons := [f"{words} {', '.join(sorted(lacking))}" for words, lacking in lacks.items() if lacking]:
             words = "The port has the stages that it is required to have, and they are judged."
             self._add(REQUIRED, words, "; ".join(reasons))
-        if self.broken or len(self.results) < self._total or any(_judged(result) for result in self.results):
+        if self.broken or len(self.results) < self._total or any(_is_judged(result) for result in self.results):
             return
         stages = sorted({result.stage for result in self.results} & set(SUITE), key=SUITE.index)
         lacks_all = all(result.outcome == "skipped" for result in self.results if result.id != REQUIRED)
@@ -236,7 +236,7 @@ class SuitePlugin:
         return result
 
 
-def _judged(result: TestResult) -> bool:
+def _is_judged(result: TestResult) -> bool:
     """Whether it says anything of the port: it failed, or something was held against a bound and found right."""
     return result.id != REQUIRED and (result.outcome in ("failed", "error", "known") or bool(result.record.worst))
 

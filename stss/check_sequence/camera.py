@@ -26,8 +26,8 @@ def camera_lines(sequence: Sequence, number: int) -> list[Line]:
     solved = solve_camera(buffers.depth, position, ray=ray)
     if solved is None or solved.residual > SURE:
         return []
-    seen = np.isfinite(buffers.depth) & np.isfinite(position).all(axis=-1)
-    away = float(np.median(np.linalg.norm(position[seen] - solved.pose.position, axis=-1)))
+    visible = np.isfinite(buffers.depth) & np.isfinite(position).all(axis=-1)
+    away = float(np.median(np.linalg.norm(position[visible] - solved.pose.position, axis=-1)))
     apart = float(np.linalg.norm(pose.position - solved.pose.position)) / away
     if apart <= APART:
         return [("note", f"camera: --camera agrees with position and depth (frame {number})")]

@@ -102,8 +102,8 @@ def find_pairs(
         is_rendered = run and all(kind == "SF" for kind, _ in run.values())  # every frame: then none has holes
         masks = {} if is_rendered else _numbered(holes / "holes", frames)
         pairs = {n: _as_in_run(pair, *run.get(n, (None, None)), masks.get(n)) for n, pair in pairs.items()}
-    for folder, found in ((out, outputs), (truth, truths)):
-        if not found and frames is None:
+    for folder, images in ((out, outputs), (truth, truths)):
+        if not images and frames is None:
             raise InputError(f"{folder}: no frames; expected files named like NAME.0001.exr or NAME.0001.png")
     if not pairs:
         there = f"found {list_numbers(truths)}" + (f" within {frames[0]} to {frames[1]}" if frames else "")

@@ -162,7 +162,7 @@ def _checked(
     """
     sums, lists = dict[str, str](), dict[str, str]()
     for folder in map(folders.__getitem__, track(range(len(folders)))):
-        with _opened(folder) as part:
+        with _open_part(folder) as part:
             for name, digest in part.sums().items():
                 if sums.setdefault(name, digest) != digest:
                     raise InputError(f"{folder / name}: another part has another file of this name")
@@ -213,7 +213,7 @@ def _require_alike(folders: Sequence[Path], target: OutputFolder | None) -> tupl
 
 def _frames_of(folders: Sequence[Path], target: OutputFolder | None) -> Iterator[Path]:
     for folder in folders:
-        with _opened(folder) as part:
+        with _open_part(folder) as part:
             names = [name for name in part.sums() if _FRAME.fullmatch(name)]
         yield from (folder / name for name in names if (folder / name).exists())
     if target is not None:
@@ -222,7 +222,7 @@ def _frames_of(folders: Sequence[Path], target: OutputFolder | None) -> Iterator
 
 def _copy(folder: Path, target: OutputFolder, sums: Mapping[str, str]) -> None:
     """Write the files of a part that the folder does not have yet."""
-    with _opened(folder) as part:
+    with _open_part(folder) as part:
         for name, digest in part.sums().items():
             if target.sums().get(name) == digest and target.holds(name):
                 continue
@@ -234,7 +234,7 @@ def _copy(folder: Path, target: OutputFolder, sums: Mapping[str, str]) -> None:
 
 
 @contextmanager
-def _opened(folder: Path) -> Generator[OutputFolder, None, None]:
+def _open_part(folder: Path) -> Generator[OutputFolder, None, None]:
     part = folder_of(folder)
     with part.open(refusal=None):
         yield part

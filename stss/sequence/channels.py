@@ -101,9 +101,9 @@ def missing_buffers(profile: Profile, buffers: Collection[str], where: object, t
     """The error for buffers that no file has: for each the expected names and advice; then the channels found (``there``)."""
     parts: list[str] = []
     for buffer in buffers:
-        names_wanted = " or ".join(", ".join(names) for names in profile.channels[buffer]) or "a constant"
+        expected_names = " or ".join(", ".join(names) for names in profile.channels[buffer]) or "a constant"
         endings = " or ".join(f"NAME{ending}.NNNN.exr" for ending in profile.files_of(buffer) if ending)
         file = f" in a file {endings}" if endings else ""
         hint = f" ({profile.hints[buffer]})" if buffer in profile.hints else ""
-        parts.append(f"no {buffer}: profile {profile.name} expects {names_wanted}{file}{hint}")
+        parts.append(f"no {buffer}: profile {profile.name} expects {expected_names}{file}{hint}")
     return InputError(f"{where}: {'; '.join(parts)}; found {', '.join(there) or 'nothing'}")

@@ -172,7 +172,7 @@ def load_profile(name_or_path: str | Path, **changes: Any) -> Profile:
             raise InputError(f"profile {text}: expected one of {', '.join(profile_names())} or a TOML file")
     table = _read(path)
     if changes:
-        table.path, table.rest = f"profile {text} as changed", _merged(table.rest, changes)
+        table.path, table.rest = f"profile {text} as changed", _merge(table.rest, changes)
     return _profile(path, table)
 
 
@@ -182,21 +182,21 @@ def _read(path: Path) -> Table:
     if "base" in table.rest:
         base = table.choice("base", profile_names())
         whole = {**_read(_TABLES / f"{base}.toml").rest, "name": path.stem, "title": f"{path.stem}, changed from {base}"}
-        table.rest = _merged(whole, table.rest)
+        table.rest = _merge(whole, table.rest)
     return table
 
 
-def _merged(top: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+def _merge(top: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
     """Keys and tables; a change keeps the keys that it does not name."""
     merged = dict(top)
     for key, value in changes.items():
         old = merged.get(key)
         both = isinstance(old, dict) and isinstance(value, dict)
-        merged[key] = _changed(cast("dict[str, Any]", old), cast("dict[str, Any]", value)) if both else value
+        merged[key] = _change(cast("dict[str, Any]", old), cast("dict[str, Any]", value)) if both else value
     return merged
 
 
-def _changed(old: dict[str, Any], change: dict[str, Any]) -> dict[str, Any]:
+def _change(old: dict[str, Any], change: dict[str, Any]) -> dict[str, Any]:
     keys = _DEPTH_KEYS.get(str(change.get("kind")), old)
     return {**{key: value for key, value in old.items() if key in keys}, **change}
 

@@ -60,15 +60,15 @@ def solve_camera(depth: Plane, position: Image, *, ray: bool = False) -> SolvedC
     else:
         u, v = x / depth.shape[1] - 0.5, y / depth.shape[0] - 0.5
         unknowns, right_side = np.column_stack([np.ones(len(d)), d * u, d * v, d]), p
-    kept, solution, error = np.ones(len(d), np.bool_), unknowns[:0], d
+    inliers, solution, error = np.ones(len(d), np.bool_), unknowns[:0], d
     for _ in range(ROUNDS):
-        scale = np.abs(unknowns[kept]).max(axis=0)
-        solution, _, rank, _ = np.linalg.lstsq(unknowns[kept] / scale, right_side[kept], rcond=1e-9)
+        scale = np.abs(unknowns[inliers]).max(axis=0)
+        solution, _, rank, _ = np.linalg.lstsq(unknowns[inliers] / scale, right_side[inliers], rcond=1e-9)
         if rank < unknowns.shape[1]:
             return None
         solution /= scale[:, None]
         error = np.linalg.norm(unknowns @ solution - right_side, axis=1)
-        kept = error <= max(3 * float(np.median(error[kept])), float(np.sort(error)[MIN_PIXELS - 1]))
+        inliers = error <= max(3 * float(np.median(error[inliers])), float(np.sort(error)[MIN_PIXELS - 1]))
     camera: Array = solution[:3, 0] if ray else solution[0]
     away = float(np.median(np.linalg.norm(p - camera, axis=1)))
     typical = float(np.median(error)) / (2 * away if ray else 1.0)

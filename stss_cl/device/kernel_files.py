@@ -66,7 +66,7 @@ def mend(folder: Path) -> None:
             files[name] = FileRecord(record.digest, state)
         elif record is None and is_whole(Path(name).suffix, data):
             whole += 1
-        elif not (used and _written(entry) > now - YOUNG):
+        elif not (used and _write_time(entry) > now - YOUNG):
             Path(entry.path).unlink(missing_ok=True)
             damaged += 1
     if damaged:
@@ -97,7 +97,7 @@ def _lock(folder: Path) -> int:
     return os.open(folder / USERS, os.O_RDONLY | os.O_CREAT | os.O_CLOEXEC, 0o600)
 
 
-def _written(entry: os.DirEntry[str]) -> float:
+def _write_time(entry: os.DirEntry[str]) -> float:
     """The time of the last write to a file, in seconds; 0 if the file is gone."""
     try:
         return entry.stat(follow_symlinks=False).st_mtime

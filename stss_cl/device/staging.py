@@ -27,7 +27,7 @@ class Staging:
     """
 
     def __init__(self, device: Device):
-        # Not the context itself: ``_made`` forgets what no context but this holds.
+        # Not the context itself: ``_by_context`` forgets entries that only this dictionary would keep alive.
         self._queue, self._pool = device.queue, device.pool
         self.uploads, self.downloads = cl.CommandQueue(device.context), cl.CommandQueue(device.context)
         # An in-order queue finishes all its commands before it maps: so new memory is mapped in an empty queue.
@@ -80,7 +80,7 @@ class Staging:
             free.append(locked)
 
 
-_made: WeakKeyDictionary[cl.Context, Staging] = WeakKeyDictionary()
+_by_context: WeakKeyDictionary[cl.Context, Staging] = WeakKeyDictionary()
 
 
 def after(queue: cl.CommandQueue, other: cl.CommandQueue) -> None:
@@ -97,6 +97,6 @@ def so_far(queue: cl.CommandQueue) -> cl.Event:
 
 def staging(device: Device) -> Staging:
     """The staging memory of this device; made once."""
-    if device.context not in _made:
-        _made[device.context] = Staging(device)
-    return _made[device.context]
+    if device.context not in _by_context:
+        _by_context[device.context] = Staging(device)
+    return _by_context[device.context]

@@ -79,7 +79,7 @@ class Arrival:
         if self._unread:
             return self.not_finite() if self._device.is_cpu else None, None, None
         bad_marks, differs = self._marks.read(self._queue)
-        if bad := self._named(bad_marks.view(np.int32)):
+        if bad := self._name_of_plane(bad_marks.view(np.int32)):
             return bad, None, None
         return None, self._map(differs, CHANGED) if compares else None, self._map(differs, RECOLORED) if recolors else None
 
@@ -90,9 +90,9 @@ class Arrival:
         bad = np.empty(len(FINITE), np.int32)
         cl.enqueue_copy(self._queue, bad, self._marks.buffers[0])
         self._unread = False
-        return self._named(bad)
+        return self._name_of_plane(bad)
 
-    def _named(self, bad: NDArray[np.int32]) -> str | None:
+    def _name_of_plane(self, bad: NDArray[np.int32]) -> str | None:
         if not bad.any():
             return None
         cl.enqueue_fill_buffer(self._queue, self._marks.buffers[0], np.zeros(1, np.int32), 0, bad.nbytes)

@@ -61,9 +61,9 @@ class OpenCL:
     def __init__(self, setup: Setup, *, module: str, name: str, precision: str, on_device: bool):
         device = importlib.import_module("stss_cl.device.discovery").open_device(setup.device)
         make: Any = getattr(importlib.import_module("stss_cl"), name)
-        self._made = make(setup.weights, device, precision=precision)
-        if hasattr(self._made, "timings"):
-            self.timings: Callable[[], dict[str, float]] = self._made.timings
+        self._network = make(setup.weights, device, precision=precision)
+        if hasattr(self._network, "timings"):
+            self.timings: Callable[[], dict[str, float]] = self._network.timings
         self._queue = device.queue
         self._on_device = on_device
         timed = "on the device" if on_device else "with transfers"
@@ -81,7 +81,7 @@ class OpenCL:
 
     def run(self) -> None:
         """See `Contender`."""
-        self._image: Any = self._made(**self._inputs)
+        self._image: Any = self._network(**self._inputs)
         self._queue.finish()
 
     def image(self) -> Image:

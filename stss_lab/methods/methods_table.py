@@ -101,7 +101,7 @@ def run_methods(
     results: list[MethodResult] = []
     for folder in (*(out / method for method in engines), *others):
         method, run_with_holes = name_of(folder), out / holes_of([*engines])
-        bar = partial(_counted, method, on_frame)
+        bar = partial(_count, method, on_frame)
         scores = compare(
             folder, truth, frames=options.frames, sequence=sequence, perceptual=perceptual, holes=run_with_holes, track=bar
         )
@@ -133,7 +133,7 @@ def holes_of(methods: Sequence[str]) -> str:
     return NETWORK if NETWORK in methods else methods[0]
 
 
-def _counted(method: str, on_frame: Callable[[str], None], numbers: Sequence[int]) -> Iterator[int]:
+def _count(method: str, on_frame: Callable[[str], None], numbers: Sequence[int]) -> Iterator[int]:
     for number in numbers:
         yield number
         on_frame(method)

@@ -27,7 +27,7 @@ def positions(plan: StressPlan) -> StressTable:
         for seed in range(plan.seeds):
             here, there, origin = _pairs(seed, far, limit)
             truth = np.sqrt(((there - here) ** 2).sum(axis=-1))[0] <= limit
-            single, half = _stored(here, there, "float32"), _stored(here, there, "float16")
+            single, half = _store(here, there, "float32"), _store(here, there, "float16")
             ways = (
                 _trusted(*single, "float32"),
                 _trusted(*single, "float64"),
@@ -60,7 +60,7 @@ def _pairs(seed: int, far: float, limit: float) -> tuple[Array, Array, Array]:
     return here + rows, here + rows + directions(PIXELS) * limit * random.uniform(0.9, 1.1, (PIXELS, 1)), origin
 
 
-def _stored(here: Array, there: Array, dtype: str) -> tuple[Array, Array]:
+def _store(here: Array, there: Array, dtype: str) -> tuple[Array, Array]:
     """Both arrays as a file of this dtype stores them; a number too large for half becomes NaN."""
     with np.errstate(over="ignore"):
         rounded = [p.astype(dtype).astype(np.float64) for p in (here, there)]
