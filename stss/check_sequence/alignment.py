@@ -24,6 +24,8 @@ MIN_STEPS = 500
 """Fewest such steps that allow a judgement."""
 ENCODED = 0.65
 """Steps of the colour's logarithm over those of the base colour's. Found: 0.87 to 0.98 in linear colours, 0.42 to 0.46 in encoded ones."""
+UNRELATED = 0.1
+"""Steps of a colour that is not that of its base colours at all, such as black."""
 OTHERWISE = (
     "the G-buffer is upside down, or the colour is",
     "the G-buffer is that of the frame before",
@@ -62,7 +64,7 @@ def _encoded(steps: Array, *, linear: bool) -> list[Line]:
     if len(steps) < MIN_STEPS:
         return []
     slope = float(np.median(steps))
-    if (slope > ENCODED) == linear:
+    if slope < UNRELATED or (slope > ENCODED) == linear:
         return []
     looks, expected = ("encoded for a display", "linear") if linear else ("linear", "display-referred")
     return [("warning", f"colour: looks {looks}, beside its base colours (power {slope:.2f}); the profile says {expected}")]

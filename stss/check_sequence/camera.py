@@ -1,40 +1,59 @@
 # SPDX-License-Identifier: MIT
-"""Whether the camera of ``--camera`` agrees with positions and depths."""
+"""Whether the camera that is given, and NoV, agree with positions and depths."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from stss.check_sequence.value_statistics import Line
+from stss.frames.buffers import Buffers
+from stss.sequence.conventions import normal_dot_view
 from stss.sequence.reader import Sequence
 from stss.sequence.solve_camera import solve_camera
+from stss_ref.arrays import Array, Image
 
 SURE = 1e-3
 """Largest residual of a solved camera that allows a judgement of the given one."""
+NOV_APART = 0.1
+"""Median difference of NoV from that of normals and camera, from which there is a warning."""
 APART = 1e-2
 """Distance between the two, as a share of the distance to the surfaces, from which NoV is wrong."""
 
 
 def camera_lines(sequence: Sequence, number: int) -> list[Line]:
     """Compare the camera of a frame, if it has one, with the camera that its positions and depths give."""
-    pose = sequence.frames[number].camera
-    if pose is None:
-        return [("note", "camera: from position and depth of each frame")] if sequence.solves_camera else []
+    pose, solves = sequence.frames[number].camera, sequence.solves_camera
+    lines: list[Line] = [("note", "camera: from position and depth of each frame")] if solves else []
+    if solves:
+        return lines
     buffers = sequence.load(number, color=False)
     position = buffers.position.astype(np.float64) * sequence.profile.units_per_cm
-    ray = sequence.profile.depth.kind == "ray" and pose.to_camera is None
+    ray = sequence.profile.depth.kind == "ray" and (pose is None or pose.to_camera is None)
     solved = solve_camera(buffers.depth, position, ray=ray)
     if solved is None or solved.residual > SURE:
         return []
+    lines = _nov_lines(buffers, position, solved.pose.position) if "nov" in sequence.frames[number].sources else []
+    if pose is None:
+        return lines
     visible = np.isfinite(buffers.depth) & np.isfinite(position).all(axis=-1)
     away = float(np.median(np.linalg.norm(position[visible] - solved.pose.position, axis=-1)))
     apart = float(np.linalg.norm(pose.position - solved.pose.position)) / away
+    is_table = len(sequence.tables) > 1
     if apart <= APART:
-        return [("note", f"camera: --camera agrees with position and depth (frame {number})")]
+        which = "--camera" if is_table else "that of the files"
+        return [*lines, ("note", f"camera: {which} agrees with position and depth (frame {number})")]
     words = ["(" + ", ".join(f"{x:.4g}" for x in place) + ")" for place in (pose.position, solved.pose.position)]
-    return [
-        (
-            "warning",
-            f"camera: frame {number}: given at {words[0]}, but position and depth put it at {words[1]}; leave --camera out",
-        )
-    ]
+    advice = "leave --camera out" if is_table else "the files' metadata is not that of this camera: give --camera"
+    text = f"camera: frame {number}: given at {words[0]}, but position and depth put it at {words[1]}; {advice}"
+    return [*lines, ("warning", text)]
+
+
+def _nov_lines(buffers: Buffers, position: Image, camera: Array) -> list[Line]:
+    """Whether stored NoV is that of the stored normals, seen from the camera at ``camera``."""
+    right = normal_dot_view(buffers.normal, position, camera)
+    visible = np.isfinite(buffers.depth) & (buffers.normal != 0).any(axis=-1)
+    apart = float(np.median(np.abs(buffers.nov - right)[visible])) if visible.any() else 0.0
+    if apart <= NOV_APART:
+        return []
+    text = f"nov: {apart:.2g} off the dot product of normal and view vector, in the median"
+    return [("warning", f"{text}: is it in other units, or do normals point inwards?")]

@@ -300,7 +300,7 @@ def _pixels(
         values.add(sequence, number)
     tables["values"] = values.table()
     lines = [*motion_lines(verdict, f"profile {sequence.profile.name}"), *values.lines(sequence, non_finite)]
-    lines += [*(camera_lines(sequence, usable[0]) if usable else []), *geometry.lines()]
+    lines += [*geometry.lines(), *(camera_lines(sequence, usable[0]) if usable else [])]
     rendered = [n for n in sorted(sequence.rendered) if n in usable]
     begin("colours")
     colored = rendered[1 :: max(1, len(rendered) // PAIRS)]

@@ -319,6 +319,8 @@ def _movers(places: NDArray[np.intp], apart: Array, size: tuple[int, int]) -> fl
 
 
 def _is_repeated(before: Buffers, now: Buffers) -> bool:
+    if not np.isfinite(now.depth).any():  # then nothing is seen, in both
+        return False
     with np.errstate(over="ignore", invalid="ignore"):
         claims = np.nanmedian(np.linalg.norm(now.motion.astype(np.float64), axis=-1))
     same = (np.array_equal(getattr(before, of), getattr(now, of), equal_nan=True) for of in ("position", "normal", "base_color"))

@@ -10,10 +10,11 @@ import numpy as np
 
 from stss.check_sequence.motion_convention import ConventionVerdict
 from stss.frames.buffers import Buffers
+from stss.frames.check_buffers import ROUNDING
 from stss.images.headers import read_header
 from stss.images.read_write import WHOLE
 from stss.sequence.profiles import BUFFERS
-from stss.sequence.raw_frame import FINITE, NonFinite, read_stored
+from stss.sequence.raw_frame import FINITE, UNIT_RANGE, NonFinite, read_stored
 from stss.sequence.reader import Sequence
 from stss_ref.arrays import Array, Mask
 from stss_ref.holes import squared_footprint
@@ -37,6 +38,8 @@ def motion_lines(verdict: ConventionVerdict, profile: str) -> list[Line]:
     return [("warning", text)]
 
 
+OVEREXPOSED = 0.75
+"""Share of the surfaces' colour values above 1, from which there is a warning."""
 WHOLE_HALF = 1 << 11
 """A half holds every whole number up to this one."""
 
@@ -50,14 +53,18 @@ class Values:
         self._stencils: set[float] = set()
         self._non_finite: dict[str, str] = {}
         self._footprints: list[float] = []
+        self._before: tuple[int, Array] | None = None
+        """The number of the last frame, and the object numbers in it."""
 
     def add(self, sequence: Sequence, number: int) -> None:
         """Look at one frame."""
         frame = sequence.frames[number]
         planes = read_stored(frame, sequence.canvas, sequence.constants)[0]
-        self._count_non_finite(planes, number)
         buffers = sequence.load(number)
-        self._add_background(planes["depth"][..., 0], np.isfinite(buffers.depth))
+        hit = np.isfinite(buffers.depth)
+        self._count_non_finite(planes, hit, number)
+        self._count_outside(planes, hit)
+        self._add_background(planes["depth"][..., 0], hit)
         self.add_buffers(buffers)
 
     def add_buffers(self, buffers: Buffers) -> None:
@@ -70,6 +77,14 @@ class Values:
         count["negative normals"] += int((buffers.normal < 0).any(axis=-1).sum())
         count["facing away"] += int((hit & (buffers.nov < -0.1)).sum())
         count["fractional stencils"] += int((buffers.stencil != np.rint(buffers.stencil)).sum())
+        count["negative stencils"] += int((buffers.stencil < 0).sum())
+        self._count_new_objects(buffers)
+        if hit.any():
+            farthest = buffers.depth == buffers.depth[hit].max()
+            count["farthest without normal"] += int((farthest & (buffers.normal == 0).all(axis=-1)).sum())
+            self._highest("depth", buffers.depth[hit])
+            self._highest("base colour", buffers.base_color[hit])
+            self._highest("normal", np.abs(buffers.normal[hit]))
         if len(self._stencils) <= 256:
             self._stencils |= {float(x) for x in np.unique(buffers.stencil[hit])}
         with np.errstate(over="ignore", invalid="ignore"):
@@ -81,10 +96,20 @@ class Values:
         footprints = np.sqrt(squared_footprint(buffers.position)[hit & np.isfinite(buffers.position).all(axis=-1)])
         if footprints.size:
             self._footprints.append(float(np.median(footprints)))
-        self._add_color(buffers)
+        self._add_color(buffers, hit)
 
-    def _add_color(self, buffers: Buffers) -> None:
+    def _count_new_objects(self, buffers: Buffers) -> None:
+        """Count the pixels of moving objects, and those of them whose number the frame before does not have."""
+        moving = buffers.stencil[buffers.stencil != 0]
+        if self._before is not None and self._before[0] == buffers.number - 1:
+            self._counts["moving"] += moving.size
+            self._counts["new objects"] += int((~np.isin(moving, self._before[1])).sum())
+        self._before = buffers.number, np.unique(moving)
+
+    def _add_color(self, buffers: Buffers, hit: Mask) -> None:
         if buffers.color is not None:
+            self._counts["lit values"] += 3 * int(hit.sum())
+            self._counts["lit above 1"] += int((buffers.color[hit] > 1).sum())
             self._counts["colour values"] += buffers.color.size
             self._counts["negative colours"] += int((buffers.color < 0).sum())
             self._highest("color", buffers.color)
@@ -96,12 +121,21 @@ class Values:
             self._counts["background not finite"] += int((~np.isfinite(missed)).sum())
             self._counts["background far"] += int((np.isfinite(missed) & (missed > 0)).sum())
 
-    def _count_non_finite(self, planes: dict[str, Array], number: int) -> None:
+    def _count_non_finite(self, planes: dict[str, Array], hit: Mask, number: int) -> None:
+        """Count them where they matter: where nothing was hit, only the colour, motion and depth of a file are used."""
         for buffer in BUFFERS:
-            bad = int((~np.isfinite(planes[buffer])).sum()) if buffer in planes else 0
+            used = ... if buffer in ("color", "motion", "depth") else hit
+            bad = int((~np.isfinite(planes[buffer][used])).sum()) if buffer in planes else 0
             if bad:
                 self._counts[f"non-finite {buffer}"] += bad
                 self._non_finite.setdefault(buffer, f"frame {number}")
+
+    def _count_outside(self, planes: dict[str, Array], hit: Mask) -> None:
+        for buffer in UNIT_RANGE:
+            values = planes[buffer][hit]
+            with np.errstate(invalid="ignore"):
+                self._counts[f"outside {buffer}"] += int(((values < -ROUNDING) | (values > 1 + ROUNDING)).any(axis=-1).sum())
+            self._highest(buffer, values)
 
     def _highest(self, key: str, values: Array) -> None:
         finite = values[np.isfinite(values)]
@@ -121,6 +155,7 @@ class Values:
             return [("note", "no frame is complete, so no values were checked")]
         return [
             *self._non_finite_lines(non_finite),
+            *self._outside_lines(),
             *self._geometry_lines(sequence),
             *self._position_lines(sequence),
             *self._color_lines(sequence),
@@ -139,6 +174,15 @@ class Values:
                 lines.append(("warning", f"{text}; masked"))
         return lines
 
+    def _outside_lines(self) -> list[Line]:
+        """Findings about values that reading clips."""
+        lines: list[Line] = []
+        for buffer in UNIT_RANGE:
+            if share := self._share(f"outside {buffer}"):
+                text = f"{buffer}: {share:.1%} of the pixels outside 0 to 1, the largest value {self._most[buffer]:.4g}; clipped"
+                lines.append(("warning" if share > 0.01 else "note", text))
+        return lines
+
     def _geometry_lines(self, sequence: Sequence) -> list[Line]:
         prefix, counts = "background ", self._counts
         kinds = [f"{counts[key]} {key.removeprefix(prefix)}" for key in counts if key.startswith(prefix) and counts[key]]
@@ -154,11 +198,20 @@ class Values:
         lines: list[Line] = []
         if not self._counts["hit"]:
             lines.append(("warning", "depth: nothing was hit anywhere; expected linear depths > 0"))
+        elif self._most.get("normal") == 0:
+            lines.append(("warning", "normal: 0 everywhere"))
         elif not self._counts["negative normals"] and self._share("not unit") > 0.5:  # else no such side is in sight
             lines.append(("warning", "normal: no negative component anywhere; expected -1..1, it looks like 0..1"))
         elif share := self._share("not unit"):
             level: Level = "warning" if share > 0.2 else "note"
             lines.append((level, f"normal: {share:.1%} of the pixels not of unit length"))
+        if (share := self._share("farthest without normal")) > 0.01:
+            text = f"depth: {share:.1%} of the pixels at the largest depth, {self._most['depth']:.6g}, and without a normal"
+            lines.append(
+                ("warning", f"{text}: if nothing was hit there, give a profile with this background; depth is to be infinite")
+            )
+        if self._most.get("base colour") == 0:
+            lines.append(("warning", "base_color: 0 everywhere"))
         if (share := self._share("facing away")) > 0.05:
             text = f"nov: {share:.1%} of the pixels face away from the camera; expected none"
             lines.append(("warning", f"{text}: camera, its unit or the normals do not fit"))
@@ -180,9 +233,19 @@ class Values:
         return [("warning", f"stencil: up to {most:.0f}, stored as {kind}, in which numbers above {limit} run together")]
 
     def _stencil_lines(self) -> list[Line]:
-        if self._counts["fractional stencils"]:
-            share = self._share("fractional stencils", "pixels")
-            return [("warning", f"stencil: {share:.1%} of the pixels are not whole numbers; expected no filtering")]
+        faults = (
+            (
+                "new objects",
+                "moving",
+                0.5,
+                "have a number that the frame before does not have; expected an object to keep its number",
+            ),
+            ("negative stencils", "pixels", 0.0, "are negative; expected 0 for static geometry, numbers above 0 for objects"),
+            ("fractional stencils", "pixels", 0.0, "are not whole numbers; expected no filtering"),
+        )
+        for key, of, most, words in faults:
+            if (share := self._share(key, of)) > most:
+                return [("warning", f"stencil: {share:.1%} of the {'moving ' if of == 'moving' else ''}pixels {words}")]
         if len(self._stencils) == 1:
             value = self._stencils.copy().pop()
             if value == 0:
@@ -199,6 +262,8 @@ class Values:
         unit, half = sequence.profile.units_per_cm, read_header(source.path).formats[source.names[0]] == "half"
         step = float(np.spacing(np.float32(self._most["position"] * unit))) * (2**13 if half else 1) / unit
         footprint = float(np.median(self._footprints)) if self._footprints else 0.0
+        if self._footprints and footprint == 0:
+            return [("warning", "position: the same at neighbouring pixels; expected the place of each")]
         coarse = step > FINE * footprint
         if not half and not coarse:
             return []
@@ -216,5 +281,10 @@ class Values:
         if not linear and most > 1:
             lines.append(("warning", f"colour: up to {most:.4g}; expected at most 1 of display-referred values"))
         if share := self._share("negative colours", "colour values"):
-            lines.append(("warning" if share > 0.01 else "note", f"colour: {share:.2%} of the values negative"))
+            lines.append(("warning" if share > 0.01 else "note", f"colour: {share:.2%} of the values negative; clipped to 0"))
+        if most <= 0:
+            lines.append(("warning", "colour: nothing above 0 anywhere"))
+        elif linear and (share := self._share("lit above 1", "lit values")) > OVEREXPOSED:
+            text = f"colour: {share:.0%} of the surfaces' values above 1, which the network sees as 1 and does not sharpen"
+            lines.append(("warning", f"{text}: lower the exposure"))
         return lines

@@ -55,6 +55,8 @@ def solve_camera(depth: Plane, position: Image, *, ray: bool = False) -> SolvedC
     d, p = depth[y, x].astype(np.float64), position[y, x].astype(np.float64)
     middle = p.mean(axis=0)
     p -= middle
+    if not p.any():  # one place everywhere, as of a pass that was not rendered
+        return None
     if ray:
         unknowns, right_side = np.column_stack([2 * p, np.ones(len(d))]), ((p * p).sum(axis=1) - d * d)[:, None]
     else:
@@ -62,7 +64,7 @@ def solve_camera(depth: Plane, position: Image, *, ray: bool = False) -> SolvedC
         unknowns, right_side = np.column_stack([np.ones(len(d)), d * u, d * v, d]), p
     inliers, solution, error = np.ones(len(d), np.bool_), unknowns[:0], d
     for _ in range(ROUNDS):
-        scale = np.abs(unknowns[inliers]).max(axis=0)
+        scale = np.maximum(np.abs(unknowns[inliers]).max(axis=0), np.finfo(np.float64).tiny)
         solution, _, rank, _ = np.linalg.lstsq(unknowns[inliers] / scale, right_side[inliers], rcond=1e-9)
         if rank < unknowns.shape[1]:
             return None

@@ -145,7 +145,7 @@ def planted(**changes):
             ],
         ),
         (
-            {"normal_Z": (0.5, 0.5), "stencil_X": (0, 3), "motion_X": (1000, 0), "R": (100, 0), "depth_Z": 0},
+            {"normal_Z": (0.4, 0.5), "stencil_X": (0, 3), "motion_X": (1000, 0), "R": (100, 0), "depth_Z": 0},
             [
                 ("warning", "normal: no negative component anywhere; expected -1..1"),
                 ("warning", "stencil: 3 everywhere, so everything counts as moving"),
@@ -172,6 +172,14 @@ def test_values(write_frames, changes, expected):
     for level, text in expected:
         assert any(line.startswith(text) for line in texts(report, level)), (text, report.findings)
     assert report.status == (2 if any(level == "error" for level, _ in expected) else 1)
+
+
+def test_what_is_no_number_in_the_background_does_not_matter(write_frames, tmp_path):
+    """A run replaces it there, and a check must not say that the run refuses it."""
+    channels = ("normal_X", "basecolor_R", "roughness_X", "metallic_X", "nov_X", "stencil_X", "position_X")
+    folder = write_frames([1, 2, 3], change=planted(depth_Z=1e10, **dict.fromkeys(channels, np.nan)))
+    assert not texts(check(folder, SequenceOptions("stss")), "error")
+    assert call("run", folder, "-o", tmp_path / "out", *PLAIN).returncode == 0
 
 
 def test_masked_values_are_a_warning(write_frames):

@@ -93,6 +93,37 @@ def without_numbers(channels, frames, number):
     channels["stencil.X"] *= 0
 
 
+def of(buffer, function):
+    """A change of all channels of a buffer."""
+
+    def change(channels, frames, number):
+        channels.update({name: function(plane) for name, plane in channels.items() if name.startswith(f"{buffer}.")})
+
+    return change
+
+
+def bytes_for_shares(channels, frames, number):
+    for buffer in ("nov", "basecolor"):
+        of(buffer, lambda plane: plane * 255)(channels, frames, number)
+
+
+def new_numbers(channels, frames, number):
+    channels["stencil.X"] = np.where(channels["stencil.X"] > 0, 10 * number + channels["stencil.X"], 0)
+
+
+def far_plane(channels, frames, number):
+    """A renderer that writes its camera's far plane for the background, nearer than the profile's value."""
+    channels["depth.Z"] = np.minimum(channels["depth.Z"], 1e6)
+
+
+def bright_lamp(channels, frames, number):
+    channels.update({name: 100 * channels[name] + 2 for name in "RGB"})
+
+
+def black(channels, frames, number):
+    channels.update({name: 0 * plane for name, plane in channels.items() if name in "RGB" or name.startswith("basecolor")})
+
+
 @pytest.mark.parametrize("change", [lambda channels, frames, number: None, bright])
 def test_sound_frames(findings_of, change):
     warnings, notes = findings_of(change)
@@ -126,6 +157,28 @@ def test_sound_frames(findings_of, change):
         ((half_rate,), ("position: frames 1, ",)),
         ((of_depth(lambda z: 1 - 20 / z),), ("depth: ",)),
         ((without_numbers,), ("stencil: 0 on ", "of the surfaces, though their motion")),
+        (
+            (bytes_for_shares, new_numbers, bright_lamp),
+            (
+                "nov: ",
+                "of the pixels outside 0 to 1",
+                "have a number that the frame before does not have",
+                "lower the exposure",
+            ),
+        ),
+        (
+            (black, of("normal", lambda n: -n), of("stencil", lambda s: s - 1)),
+            (
+                "nothing above 0",
+                "base_color: 0 everywhere",
+                "nov: ",
+                "of the pixels are negative; expected 0 for static geometry",
+            ),
+        ),
+        (
+            (of("position", lambda p: 0 * p), of("normal", lambda n: 0 * n), far_plane),
+            ("position: the same at", "normal: 0 everywhere", "at the largest depth, 1e+06, and without a normal"),
+        ),
     ],
 )
 def test_each_mistake_is_named(findings_of, changes, words):
@@ -136,6 +189,7 @@ def test_each_mistake_is_named(findings_of, changes, words):
     warnings, _ = findings_of(change)
     for text in words:
         assert any(text in line for line in warnings), warnings
+    assert not any(text.startswith(ENCODED) for text in warnings) or ENCODED in words
 
 
 @pytest.mark.parametrize("scene", ["flythrough", "demo"])

@@ -45,6 +45,8 @@ def test_a_camera_that_does_not_follow_is_not_made_up():
     depth, position = wall(rng, np.zeros(3), 0.2)
     assert solve_camera(depth, rng.permutation(position)).residual > 1e-2
     assert solve_camera(np.full(SIZE, np.inf, np.float32), position) is None
+    assert solve_camera(depth, np.zeros_like(position)) is None  # a pass that was not rendered
+    assert solve_camera(depth, np.zeros_like(position), ray=True) is None
 
 
 def test_check_and_run_need_neither_profile_nor_camera(write_frames, tmp_path):
