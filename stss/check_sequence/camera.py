@@ -48,6 +48,12 @@ def camera_lines(sequence: Sequence, number: int) -> list[Line]:
     return [*lines, ("warning", text)]
 
 
+def nov_lines(buffers: Buffers) -> list[Line]:
+    """Compare a frame's NoV with that of the camera that its positions and depths give."""
+    solved = solve_camera(buffers.depth, buffers.position)
+    return [] if solved is None or solved.residual > SURE else _nov_lines(buffers, buffers.position, solved.pose.position)
+
+
 def _nov_lines(buffers: Buffers, position: Image, camera: Array) -> list[Line]:
     """Whether stored NoV is that of the stored normals, seen from the camera at ``camera``."""
     right = normal_dot_view(buffers.normal, position, camera)
@@ -56,4 +62,9 @@ def _nov_lines(buffers: Buffers, position: Image, camera: Array) -> list[Line]:
     if apart <= NOV_APART:
         return []
     text = f"nov: {apart:.2g} off the dot product of normal and view vector, in the median"
-    return [("warning", f"{text}: is it in other units, or do normals point inwards?")]
+    return [
+        (
+            "warning",
+            f"{text}: is it in other units, do normals point inwards, or is the camera's matrix inverted?",
+        )
+    ]

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from itertools import pairwise
 
 from stss.check_sequence.alignment import alignment_lines
+from stss.check_sequence.camera import nov_lines
 from stss.check_sequence.motion_convention import judge_motion
 from stss.check_sequence.static_positions import judge_static_geometry
 from stss.check_sequence.value_statistics import Line, Values, motion_lines
@@ -43,5 +44,5 @@ def check_frames(frames: Iterable[Buffers], *, linear: bool = True) -> list[Line
     for frame in row:
         values.add_buffers(frame)
     lines = [*motion_lines(judge_motion(pairs), "its profile"), *values.buffer_lines(), *judge_static_geometry(pairs).lines()]
-    lines += alignment_lines(row, linear=linear)
+    lines += [*nov_lines(row[0]), *alignment_lines(row, linear=linear)]
     return sorted(lines, key=lambda line: line[0] == "note")

@@ -19,6 +19,8 @@ from stss_ref.arrays import Array
 
 MAX_BYTES = 64 << 20
 """Largest size of a table; a line takes about 40 bytes."""
+ROUNDED = 1e-4
+"""Largest difference of a matrix's last row from 0, 0, 0, 1: a projection's differs by about 1."""
 
 
 @dataclass(frozen=True)
@@ -32,6 +34,20 @@ class CameraPose:
 
     position: Array
     to_camera: Array | None = None
+
+    @classmethod
+    def of_matrix(cls, matrix: Array) -> CameraPose | None:
+        """From a (4, 4) world to camera, for column or row vectors; None where it is neither, as with a projection, or has no inverse."""
+        if _is_last(matrix[:, 3]):
+            matrix = matrix.T
+        if not np.isfinite(matrix).all() or not _is_last(matrix[3]) or not np.linalg.det(matrix[:3, :3]):
+            return None
+        return cls(-np.linalg.solve(matrix[:3, :3], matrix[:3, 3]), matrix)
+
+
+def _is_last(row: Array) -> bool:
+    """Whether it is 0, 0, 0, 1 but for the rounding of whoever inverted the matrix."""
+    return bool(np.abs(row - (0, 0, 0, 1)).max() <= ROUNDED)
 
 
 def read_cameras(path: Path) -> dict[int, CameraPose]:
@@ -73,12 +89,10 @@ def camera_of(header: Header, profile: Profile) -> CameraPose | None:
     """The camera by a file's metadata: ``worldToCamera`` or the attributes that the profile names; None without either."""
     matrix = header.attributes.get("worldToCamera")
     if isinstance(matrix, tuple) and len(matrix) == 16:
-        to_camera = np.array(matrix, dtype=np.float64).reshape(4, 4)
         # EXR's own convention is row vectors, translation in the last row; some writers store the transpose.
-        if np.array_equal(to_camera[:, 3], (0, 0, 0, 1)):
-            to_camera = to_camera.T
-        if np.isfinite(to_camera).all() and abs(np.linalg.det(to_camera[:3, :3])) > 0:
-            return CameraPose(-np.linalg.solve(to_camera[:3, :3], to_camera[:3, 3]), to_camera)
+        pose = CameraPose.of_matrix(np.array(matrix, dtype=np.float64).reshape(4, 4))
+        if pose is not None:
+            return pose
     for names in profile.camera:
         position = _numbers(header.attributes, names)
         if position is not None:

@@ -36,7 +36,7 @@ def convert(
             ``nov`` may be missing if there is a camera; ``stencil``, ``roughness`` and ``metallic`` may be one number. Planes of other
             names go to ``carried``.
         profile: a built-in profile's name, a TOML file, or one from `load_profile`.
-        camera: (3,) its position or (4, 4) world to camera, for column vectors; in scene units.
+        camera: (3,) its position or (4, 4) world to camera, for column or row vectors; in scene units.
         cut: whether the frame is the first of a shot.
 
     Returns:
@@ -124,9 +124,13 @@ def _pose(value: Array) -> CameraPose:
         raise InputError("camera: expected finite numbers, found others")
     if camera.shape == (3,):
         return CameraPose(camera)
-    if not np.linalg.det(camera[:3, :3]):
-        raise InputError("camera: expected a matrix from world to camera, found one without an inverse")
-    return CameraPose(-np.linalg.solve(camera[:3, :3], camera[:3, 3]), camera)
+    pose = CameraPose.of_matrix(camera)
+    if pose is None:
+        raise InputError(
+            "camera: expected a matrix from world to camera, without a projection, whose last row or column is 0, 0, 0, 1, "
+            f"and that has an inverse; found the last row {', '.join(f'{x:g}' for x in camera[3])}"
+        )
+    return pose
 
 
 def to_specification(

@@ -11,6 +11,7 @@ from conformance.scenes import SCENES, render
 from stss.check_sequence.report import check
 from stss.demo import demo_path, frame_channels
 from stss.images.read_write import write_channels
+from stss.sequence.conventions import normal_dot_view
 from stss.sequence.reader import SequenceOptions, open_sequence
 from stss_ground.errors import InputError
 
@@ -50,6 +51,7 @@ MISTAKES = {
     "stencil: 0 on ": lambda f: replace(f, stencil=0 * f.stencil),
     "normal: no negative component": lambda f: replace(f, normal=f.normal / 2 + 0.5),
     "normal: rotated against positions": lambda f: replace(f, normal=f.normal @ TURN),
+    "nov: ": lambda f: replace(f, nov=normal_dot_view(f.normal, f.position, np.zeros(3))),  # of a matrix from camera to world
     "background: its motion is 0": lambda f: replace(f, motion=np.where(np.isfinite(f.depth)[..., None], f.motion, 0)),
     "colour: looks encoded": lambda f: f if f.color is None else replace(f, color=f.color.clip(0, 1) ** np.float32(1 / 2.2)),
 }

@@ -323,7 +323,20 @@ def test_planes_of_an_engine(missing):
             stss.convert(0, one_number)
 
 
-@pytest.mark.parametrize("camera", [np.zeros((4, 4)), np.full(3, np.nan), np.zeros((3, 4))])
+def test_a_camera_may_be_a_place_or_a_matrix_of_either_kind():
+    """Engines of row vectors have the transpose, from which the camera once was at the origin."""
+    planes = {name: plane for name, plane in right(0).items() if name != "nov"}
+    matrix = world_to_camera(0)
+    matrix[:3, 3] *= 100
+    place = -matrix[:3, :3].T @ matrix[:3, 3]
+    one, *others = (
+        stss.convert(0, planes, camera=camera).nov
+        for camera in (place, matrix, matrix.T, np.linalg.inv(np.linalg.inv(np.float32(matrix))))
+    )
+    assert all(np.abs(other - one).max() < 1e-6 for other in others)
+
+
+@pytest.mark.parametrize("camera", [np.zeros((4, 4)), np.full(3, np.nan), np.zeros((3, 4)), np.eye(4)[[0, 1, 3, 2]]])
 def test_a_camera_that_is_none_is_refused(camera):
     with pytest.raises(InputError, match="camera: expected"):
         stss.convert(0, {name: plane for name, plane in right(0).items() if name != "nov"}, camera=camera)
