@@ -86,7 +86,7 @@ def prepare(
 ) -> NetworkInputs:
     """Make the network's inputs: warp the three colour frames to the current one. Other arguments and errors as in ``frame``.
 
-    ``color`` is two pictures: the newest colour frame with its holes filled, and a second one. With ``second`` "newest" that is the same
+    ``color`` is two colours: the newest colour frame with its holes filled, and a second one. With ``second`` "newest" that is the same
     frame, its holes left as they are warped (spec 7); in an SF both are then the frame itself. With "detail" it is the
     detail of all warped frames (`detail`). ``test`` and ``limits``: see `holes`. ``hole_fill``: the stage that fills the holes.
     """
@@ -95,7 +95,7 @@ def prepare(
 
     pairs = [warp_one(inputs, i, motions.get(step), test, limits) for i, step in enumerate(inputs.steps)]
     warped, valids = [w for w, _ in pairs], [valid for _, valid in pairs]
-    color = two_pictures(fill(inputs, warped[0], valids[0], motions.get(inputs.steps[0]), hole_fill), warped[0])
+    color = two_colors(fill(inputs, warped[0], valids[0], motions.get(inputs.steps[0]), hole_fill), warped[0])
     if second == "detail":
         moved = [i for i, step in enumerate(inputs.steps) if step in motions and not is_missing(inputs.steps, i)]
         frames = [(inputs.colors[i], motions[inputs.steps[i]], inputs.stencils[i + 1]) for i in moved]
@@ -162,7 +162,7 @@ def fill(inputs: FrameInputs, warped: Image, valid: Mask, motion: Image | None, 
     return instead
 
 
-def two_pictures(first: Image, second: Image) -> Image:
+def two_colors(first: Image, second: Image) -> Image:
     """The network's colour (H, W, 6), at least 0."""
     return np.maximum(np.concatenate([first, second], axis=-1), 0)
 

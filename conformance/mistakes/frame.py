@@ -164,7 +164,7 @@ DETAILS = (
 
 
 def _picture(name: str, what: str, **changes: Change) -> Mistake:
-    return _frame(name, what, change_arguments("frame.two_pictures", **changes))
+    return _frame(name, what, change_arguments("frame.two_colors", **changes))
 
 
 FRAME = (
@@ -242,12 +242,12 @@ FRAME = (
     _prepared("mask_of_all", "the network's mask: valid in all three", mask=lambda result: result.history[..., 3].prod(axis=0)),
     _prepared("mask_all_valid", "the network's mask all 1", mask=lambda result: np.ones_like(result.mask)),
     *DETAILS,
-    _frame("negative_color", "colours below 0 stay", put("frame.two_pictures", lambda *both: np.concatenate(both, axis=-1))),
+    _frame("negative_color", "colours below 0 stay", put("frame.two_colors", lambda *both: np.concatenate(both, axis=-1))),
     _frame("negative_history", "colours below 0 stay in the history", put("frame.stack_history", _signed_history)),
     _frame(
         "absolute_history",
         "colours below 0 change their sign in the history",
         put("frame.stack_history", lambda warped, valids: _signed_history(warped, valids, np.abs)),
     ),
-    _frame("color_up_to_1", "colours above 1 become 1", returns("frame.two_pictures", lambda color: np.minimum(color, 1))),
+    _frame("color_up_to_1", "colours above 1 become 1", returns("frame.two_colors", lambda color: np.minimum(color, 1))),
 )

@@ -122,7 +122,7 @@ SCENES = {
         DEMO,
         Scene("static", _TRIPOD, _QUIET),  # nothing moves
         Scene("object", _TRIPOD, (*_QUIET, _LARGE)),  # a still camera; a tenth of the pixels move
-        Scene("interface", _TRIPOD, (*_QUIET, *_PANEL)),  # a still picture but for a blinking cursor
+        Scene("interface", _TRIPOD, (*_QUIET, *_PANEL)),  # a still image but for a blinking cursor
         Scene("sky", _LOOK_UP, _GARDEN, _OVERCAST),  # the camera moves; two fifths are a sky of one colour
         Scene("pan", replace(_TRIPOD, target=_line((-120, 0, 100), (9, 0, 0))), _QUIET),  # the camera only turns
         Scene(

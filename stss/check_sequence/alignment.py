@@ -28,7 +28,7 @@ UNRELATED = 0.1
 """Steps of a colour that is not that of its base colours at all, such as black."""
 OTHERWISE = (
     "the G-buffer is upside down, or the colour is",
-    "the G-buffer is that of the frame before",
+    "the G-buffer is that of the previous frame",
     "the G-buffer is that of the frame after",
 )
 

@@ -59,7 +59,7 @@ class StaticVerdict:
         relative: positions begin at the camera in every frame, although motion says that the camera moves.
         fit: true motion over stored motion by least squares, ``(scale, offset)`` for x and y.
         depth: median deviation from the distance along the view; -1 where depth falls with distance.
-        late: the same of the depth of the frame before by these positions, and of this depth by the positions of the frame before.
+        late: the same of the depth of the previous frame by these positions, and of this depth by the positions of the previous frame.
         normals: median angle between normals and surfaces, as stored and after the one rotation that fits best; degrees.
         holes: share of the static surfaces that are holes, over one frame; motion that leads off the frame does not count.
         movers: share of the static surfaces whose motion is not that of static geometry, while the motion of the others is.
@@ -84,7 +84,7 @@ class StaticVerdict:
 
     @property
     def lags(self) -> str:
-        """The plane that is that of the frame before: position, depth, or none."""
+        """The plane that is that of the previous frame: position, depth, or none."""
         own = self.depth if self.depth >= 0 else np.inf
         fits = (name for name, error in zip(("position", "depth"), self.late, strict=True) if 0 <= error < LATE * own)
         return next(fits, "")
@@ -141,7 +141,7 @@ class StaticVerdict:
     def _depths(self) -> list[Line]:
         if self.lags:
             other = "depth" if self.lags == "position" else "position"
-            return [("warning", f"{self.lags}: that of the frame before, by {other}; expected planes of one moment")]
+            return [("warning", f"{self.lags}: that of the previous frame, by {other}; expected planes of one moment")]
         if self.depth < 0:
             return [("warning", "depth: falls where the distance of positions grows; expected linear depth, it looks reversed")]
         if self.depth > PROPORTIONAL:
@@ -199,7 +199,7 @@ class StaticGeometry:
     def lines(self) -> list[Line]:
         """Findings."""
         late = self.positions is not None and self.positions.lags == "position"  # they are not those of what is static now
-        repeated = f"position: frames {', '.join(map(str, self.repeated))} repeat that of the frame before"
+        repeated = f"position: frames {', '.join(map(str, self.repeated))} repeat that of the previous frame"
         return [
             *([("warning", f"{repeated}; every display frame needs its own G-buffer")] if self.repeated else []),
             *([] if self.positions is None else self.positions.lines()),
@@ -339,7 +339,7 @@ def _guesses(motion: Array, reversed_rows: Array, size: tuple[int, int], *, mirr
         "twice too long: in pixels of the output, over two frames, or in NDC and taken for UV": 0.5,
         "half too long": 2.0,
     }
-    signs = {"": (1, 1), "from the frame before to this one": (-1, -1), "with y up": (1, -1), "with x to the left": (-1, 1)}
+    signs = {"": (1, 1), "from the previous frame to this one": (-1, -1), "with y up": (1, -1), "with x to the left": (-1, 1)}
     guesses = {", ".join(filter(None, (a, b))): motion * scale * sign for a, scale in scales.items() for b, sign in signs.items()}
     guesses["x and y swapped"] = motion[:, ::-1]
     guesses["upside down: only its rows run from the bottom to the top"] = reversed_rows

@@ -30,7 +30,7 @@ def motion_lines(verdict: ConventionVerdict, profile: str) -> list[Line]:
     """Findings about the motion convention of ``profile``, such as "profile blender", from the warped frames."""
     if not verdict.pixels:
         return [("note", "motion: cannot tell whether its signs are right; too little moves, or nothing has texture")]
-    compared = f"base colour and normal of the frame before, warped, over {verdict.pixels} pixels"
+    compared = f"base colour and normal of the previous frame, warped, over {verdict.pixels} pixels"
     if verdict.better is None:
         return [("note", f"motion: fits as {profile} says ({compared}: {verdict.error:.4f})")]
     times = 1 / max(verdict.ratios[verdict.better], 1e-3)

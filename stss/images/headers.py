@@ -53,7 +53,7 @@ class Header:
 
     Attributes:
         path: the file.
-        display: its display window: the picture.
+        display: its display window: the image.
         windows: name -> data window of the channel's part: the pixels in the file.
         channels: full names. A name that several parts of a multipart file use is ``PART.NAME``, except in the part `_plain_part`.
         formats: name -> "half", "float", "uint32", "uint8", "uint16".

@@ -25,7 +25,7 @@ def lanczos_centres(x: Image, offset: tuple[float, float] = (0, 0)) -> Image:
 
     Args:
         x: (H, W, C).
-        offset: of the picture in x and y, pixels of ``x``.
+        offset: of the image in x and y, pixels of ``x``.
 
     Returns:
         (2H, 2W, C) as ``x``; overshoots at edges.

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""The quality of a picture: ``stss compare``, and the parts of it that ``stss methods`` uses."""
+"""The quality of images: ``stss compare``, and the parts of it that ``stss methods`` uses."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Changes since the frame before, compared with those of the truth: flicker along the motion, and tPSNR. See docs/metrics.md."""
+"""Changes since the previous frame, compared with those of the truth: flicker along the motion, and tPSNR. See docs/metrics.md."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Follower:
         """How much the change of frame ``number`` since the one before it differs from the truth's: ``mean |d - d*|``.
 
         ``d(p) = out_t(p) - out_{t-1}(p + motion_t(p))``, and ``d*`` is the same of the truth. The mean is over the pixels whose motion
-        leads into the frame and to the surface seen now (spec 4). Motion and holes come from the low-resolution G-buffer, whose pixels
+        leads into the frame and to the same surface (spec 4). Motion and holes come from the low-resolution G-buffer, whose pixels
         stand for four each.
 
         Returns:

@@ -231,7 +231,7 @@ def facts(comparison: Comparison) -> list[str]:
 
 
 def _rows(pairs: Mapping[int, Pair], numbers: Iterable[int], sequence: Input | None, *, flip: bool) -> list[FrameScores]:
-    """The frames' rows, with the step from the frame before where there is one."""
+    """The frames' rows, with the step from the previous frame where there is one."""
     rows: list[FrameScores] = []
     before: Shown | None = None
     follower = None if sequence is None else Follower(sequence)

@@ -45,7 +45,7 @@ DEFINITIONS = (
     ("SSIM", "Structural similarity of the luma, Gaussian window of 11 x 11 with sigma 1.5; 1 where two images agree."),
     ("FLIP", "LDR-FLIP at 67 pixels a degree, the mean of its error map; 0 where two images agree."),
     ("VMAF", "Model vmaf_v0.6.1 on the frames as a video; about 100 where two videos agree."),
-    ("tPSNR", "PSNR of the change since the frame before, pixel by pixel."),
+    ("tPSNR", "PSNR of the change since the previous frame, pixel by pixel."),
     (
         "flicker error",
         "Mean of |d - d*| in 8-bit levels, d and d* the change along the motion of output and truth; lower is better.",

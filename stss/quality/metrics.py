@@ -43,7 +43,7 @@ class Scores:
         psnr_rgb: dB, over R, G and B together; as ``psnr_luma``.
         flip: mean of FLIP's error map, 0 to 1, 0 where the two agree; None where the region is empty or FLIP was not taken.
         vmaf: 0 to 100, of a whole frame within its sequence; None in other regions or where VMAF was not taken.
-        tpsnr: dB, of the whole frame's change since the frame before (`stss.quality.changes`); None in other regions or without one.
+        tpsnr: dB, of the whole frame's change since the previous frame (`stss.quality.changes`); None in other regions or without one.
         flicker: 8-bit levels, of the whole frame (likewise); None also where no surface could be followed.
     """
 

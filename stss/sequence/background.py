@@ -37,13 +37,13 @@ def projection_of(frame: Buffers) -> Projection | None:
 def background_motion(before: Projection, now: Projection, size: tuple[int, int]) -> Image:
     """Motion of points at infinity, from the camera's rotation; its path does not matter.
 
-    A point far along ``d`` is seen at ``P d``, with the projection's matrix without its last column. So the frame before shows at
+    A point far along ``d`` is seen at ``P d``, with the projection's matrix without its last column. So the previous frame shows at
     ``P_before P_now^-1 (x, y, 1)`` what now is at ``(x, y)``.
 
     Source: Hartley and Zisserman, Multiple View Geometry, section 13.4: the infinite homography.
 
     Args:
-        before: of the frame before.
+        before: of the previous frame.
         now: of this frame.
         size: (H, W) of both.
 

@@ -27,7 +27,7 @@ class Staging:
     """
 
     def __init__(self, device: Device):
-        # Not the context itself: ``_by_context`` forgets entries that only this dictionary would keep alive.
+        # Not the context itself, which would keep its own entry of ``_by_context`` alive.
         self._queue, self._pool = device.queue, device.pool
         self.uploads, self.downloads = cl.CommandQueue(device.context), cl.CommandQueue(device.context)
         # An in-order queue finishes all its commands before it maps: so new memory is mapped in an empty queue.

@@ -44,7 +44,7 @@ class Arrival:
             self._queue, self._groups = device.queue, ((ceil_div(columns, SPAN), rows), (1, 1))
             program = build(device, "changed_tiles.cl", {"SPAN": SPAN, "PREFETCH": device.takes_prefetch})
         else:
-            # In the queue of arriving planes: the host waits for the result, and not for the frame before.
+            # In the queue of arriving planes: the host waits for the result, and not for the previous frame.
             self._queue, self._groups = staging(device).uploads, ((ITEMS * ceil_div(columns, ACROSS), rows), (ITEMS, 1))
             after(self._queue, device.queue)  # which clears them
             program = build(device, "arrive.cl")

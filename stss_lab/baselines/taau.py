@@ -38,7 +38,7 @@ class Taau:
     Source: Karis, High Quality Temporal Supersampling, SIGGRAPH 2014; Lanczos, its clamping, trust and count as in AMD's FSR 2.
 
     Args:
-        jitter: the offset of each display frame's picture in low-resolution pixels (x right, y down), which motion includes; in an EF
+        jitter: the offset of each display frame's image in low-resolution pixels (x right, y down), which motion includes; in an EF
             that of its G-buffer. Empty: no jitter.
     """
 

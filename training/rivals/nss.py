@@ -322,7 +322,7 @@ class Nss:
         return outputs, np.rint(changed.clip(0, 1) * 255) / np.float32(255)
 
     def _hidden(self, x: Plane, y: Plane, near: Plane) -> Plane:
-        """(H, W) from 0 to 1 how surely each surface was hidden: by the depth of the frame before, as FSR 2 tells it."""
+        """(H, W) from 0 to 1 how surely each surface was hidden: by the depth of the previous frame, as FSR 2 tells it."""
         assert self._state is not None
         *_, depth, near_x, near_y = self._state
         height, width = depth.shape

@@ -104,7 +104,7 @@ def test_a_wrong_choice_of_motion_is_told(write_frames, choice):
     report = check(write_frames([1, 2, 3], change=change), SequenceOptions("stss"))
     (text,) = (text for text in texts(report, "warning") if text.startswith("motion: fits"))
     assert report.status == 1
-    assert f"with {choice}, so profile stss seems wrong (base colour and normal of the frame before" in text
+    assert f"with {choice}, so profile stss seems wrong (base colour and normal of the previous frame" in text
 
 
 def test_a_still_scene_tells_nothing(write_frames):

@@ -46,7 +46,7 @@ def test_the_lines_are_those_of_files(folder, frames):
 TURN = np.float32([[1, 0, 0], [0, np.cos(0.14), np.sin(0.14)], [0, -np.sin(0.14), np.cos(0.14)]])
 """Of a camera that looks down by 8 degrees."""
 MISTAKES = {
-    "motion: seems to be from the frame before": lambda f: replace(f, motion=-f.motion),
+    "motion: seems to be from the previous frame": lambda f: replace(f, motion=-f.motion),
     "motion: seems to be in UV": lambda f: replace(f, motion=f.motion / np.float32([96, 54])),
     "stencil: 0 on ": lambda f: replace(f, stencil=0 * f.stencil),
     "normal: no negative component": lambda f: replace(f, normal=f.normal / 2 + 0.5),
@@ -70,7 +70,7 @@ def test_a_plane_of_the_frame_before_is_named(frames, late):
     mixed = [replace(now, **{late: getattr(before, late)}) for before, now in pairwise(frames)]
     lines = stss.check_frames(mixed)
     other = {"position": "depth", "depth": "position"}[late]
-    assert ("warning", f"{late}: that of the frame before, by {other}; expected planes of one moment") in lines
+    assert ("warning", f"{late}: that of the previous frame, by {other}; expected planes of one moment") in lines
 
 
 def test_a_scene_may_show_no_side_with_a_negative_normal(frames):

@@ -87,7 +87,7 @@ def test_flicker_is_a_change_that_the_truth_has_not(sequence, tmp_path, output, 
 
 
 def test_what_cannot_be_followed_is_left_out(sequence, tmp_path, write_frames):
-    """An object that is not the one of the frame before: its pixels flicker, and do not count."""
+    """An object that is not the one of the previous frame: its pixels flicker, and do not count."""
 
     def change(number, channels):
         slides_by(0, 0)(number, channels)
