@@ -43,7 +43,7 @@ def camera_lines(sequence: Sequence, number: int) -> list[Line]:
         which = "--camera" if is_table else "that of the files"
         return [*lines, ("note", f"camera: {which} agrees with position and depth (frame {number})")]
     words = ["(" + ", ".join(f"{x:.4g}" for x in place) + ")" for place in (pose.position, solved.pose.position)]
-    advice = "leave --camera out" if is_table else "the files' metadata is not that of this camera: give --camera"
+    advice = "leave --camera out" if is_table else "the files' metadata belong to another camera: give --camera"
     text = f"camera: frame {number}: given at {words[0]}, but position and depth put it at {words[1]}; {advice}"
     return [*lines, ("warning", text)]
 
@@ -61,7 +61,7 @@ def _nov_lines(buffers: Buffers, position: Image, camera: Array) -> list[Line]:
     apart = float(np.median(np.abs(buffers.nov - right)[visible])) if visible.any() else 0.0
     if apart <= NOV_APART:
         return []
-    text = f"nov: {apart:.2g} off the dot product of normal and view vector, in the median"
+    text = f"nov: differs by {apart:.2g} from the dot product of normal and view vector, in the median"
     return [
         (
             "warning",

@@ -99,7 +99,7 @@ class Values:
         self._add_color(buffers, hit)
 
     def _count_new_objects(self, buffers: Buffers) -> None:
-        """Count the pixels of moving objects, and those of them whose number the frame before does not have."""
+        """Count the pixels of moving objects, and those whose number the previous frame lacks."""
         moving = buffers.stencil[buffers.stencil != 0]
         if self._before is not None and self._before[0] == buffers.number - 1:
             self._counts["moving"] += moving.size
@@ -208,7 +208,10 @@ class Values:
         if (share := self._share("farthest without normal")) > 0.01:
             text = f"depth: {share:.1%} of the pixels at the largest depth, {self._most['depth']:.6g}, and without a normal"
             lines.append(
-                ("warning", f"{text}: if nothing was hit there, give a profile with this background; depth is to be infinite")
+                (
+                    "warning",
+                    f"{text}: if nothing was hit there, give a profile with this background; depth must be infinite there",
+                )
             )
         if self._most.get("base colour") == 0:
             lines.append(("warning", "base_color: 0 everywhere"))
@@ -238,7 +241,7 @@ class Values:
                 "new objects",
                 "moving",
                 0.5,
-                "have a number that the frame before does not have; expected an object to keep its number",
+                "have a number that the previous frame lacks; expected objects to keep their numbers",
             ),
             ("negative stencils", "pixels", 0.0, "are negative; expected 0 for static geometry, numbers above 0 for objects"),
             ("fractional stencils", "pixels", 0.0, "are not whole numbers; expected no filtering"),

@@ -162,7 +162,7 @@ def test_sound_frames(findings_of, change):
             (
                 "nov: ",
                 "of the pixels outside 0 to 1",
-                "have a number that the frame before does not have",
+                "have a number that the previous frame lacks",
                 "lower the exposure",
             ),
         ),
