@@ -99,6 +99,29 @@ def test_nothing_crosses_a_cut():
     assert loop.push(next(frames(1, first=5))) is None
 
 
+@pytest.mark.parametrize(("number", "follows"), [(3, True), (2, False), (1, False), (-5, False), (9, False)])
+def test_numbers_that_jump_or_go_back_begin_a_shot(number, follows):
+    """As after a pause of the window's, or in a game that goes back in time: nothing is made of the frames before."""
+    loop = engine()
+    list(loop(frames(3)))
+    frame = replace(next(frames(1, first=3)), number=number)
+    assert (loop.push(frame) is not None) == follows
+
+
+def test_a_frame_that_is_refused_was_never_pushed():
+    loop, (first, second, third, fourth) = engine(), frames(4)
+    list(loop([first, second]))
+    wrong = replace(third, color=third.color * np.float32(np.nan))
+    with pytest.raises(InputError, match="frame 2: color: expected finite numbers, found nan at"):
+        loop.push(wrong)
+    assert loop.push(fourth) is None
+    loop = engine()
+    list(loop([first, second]))
+    with pytest.raises(InputError):
+        loop.push(wrong)
+    assert [output.number for output in loop([third, fourth])] == [2, 3]
+
+
 def test_no_masked_array_is_read_under_its_mask():
     buffers = next(frames(1))
     hidden = np.zeros(SIZE, bool)
