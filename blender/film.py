@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import os
 import shlex
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -222,6 +223,9 @@ def _frame(scene: Any, layer: Any, number: int, path: Path, *, colour: bool) -> 
     try:
         with changed(*([] if colour else plain)):
             bpy.ops.render.render(write_still=True, scene=scene.name)
+        # Blender says nothing of an EXR that was cut short. Where no second one fits, this one may not have fitted either.
+        if shutil.disk_usage(path.parent).free < max(part.stat().st_size, 1):
+            raise FilmError(f"{path.parent}: the disk is full")
         part.replace(path)
     except (RuntimeError, FileNotFoundError) as error:
         part.unlink(missing_ok=True)

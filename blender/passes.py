@@ -119,7 +119,7 @@ def _poses(graph: Any) -> Iterator[tuple[Any, Any, Any]]:
         if thing not in digests:
             digests[thing] = _vertices(thing)
         instance = (one.parent.original, *one.persistent_id) if one.is_instance else ()
-        yield thing.original, instance, ((*(value for row in one.matrix_world for value in row),), digests[thing])
+        yield thing.original, instance, (one.matrix_world.copy(), digests[thing])
 
 
 def _vertices(thing: Any) -> bytes:

@@ -124,6 +124,30 @@ def test_cuts_among_the_options_are_those_of_the_render_too(film):
             film.cuts_of(words)
 
 
+@pytest.mark.parametrize(("written", "free", "said"), [
+    (b"exr", 10, ""),
+    (b"ex", 1, "the disk is full"),  # cut short; Blender finishes without an error
+    (b"", 0, "the disk is full"),
+    (None, 10, "frame 7: Blender wrote no file"),
+])  # fmt: skip
+def test_a_frame_is_whole_or_not_there(film, tmp_path, monkeypatch, written, free, said):
+    scene = types.SimpleNamespace(render=types.SimpleNamespace(), cycles=None, frame_set=lambda number: None, name="s")
+
+    def render(**more):
+        if written is not None:
+            Path(scene.render.filepath).write_bytes(written)
+
+    film.bpy.ops = types.SimpleNamespace(render=types.SimpleNamespace(render=render))
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: types.SimpleNamespace(free=free))
+    if not said:
+        film._frame(scene, None, 7, tmp_path / "frame.0007.exr", colour=True)
+        assert [path.name for path in tmp_path.iterdir()] == ["frame.0007.exr"]
+        return
+    with pytest.raises(film.FilmError, match=said):
+        film._frame(scene, None, 7, tmp_path / "frame.0007.exr", colour=True)
+    assert not [*tmp_path.iterdir()]
+
+
 def test_the_program_ends_with_the_operator(film, tmp_path):
     """Esc closes the generator."""
     steps = film.supersample(tmp_path, 0, [sys.executable, "-c", f"""
