@@ -10,7 +10,7 @@ from conformance.answers.network import expect_layers
 from conformance.judging.findings import Finding, describe
 from conformance.judging.judge import Judge
 from conformance.protocol.layers import LAYERS_OF, check_layers
-from conformance.protocol.port import Outputs, PortError
+from conformance.protocol.port import Outputs, PortError, error_text, foreign_code
 from stss_ref.arrays import ArrayError
 
 ASKED_FOR = ("network", "frame")
@@ -45,11 +45,12 @@ def _handed_over(judge: Judge, finding: Finding) -> Outputs:
         return {}
     inputs = {name: array.copy() for name, array in case.inputs.items()}
     try:
-        got: Outputs = ask(case.stage, inputs, case.weights.convert(np.copy))
+        with foreign_code():
+            got: Outputs = ask(case.stage, inputs, case.weights.convert(np.copy))
         check_layers(case.stage, got, case.inputs)
     except (ArrayError, PortError):
         raise
     except Exception as error:
-        # A port is foreign code.
-        raise PortError(f"{type(error).__name__}: {error}") from error
+        # Its answer may be anything.
+        raise PortError(error_text(error)) from error
     return got

@@ -30,7 +30,7 @@ from conformance.graph.ports import STAGE, GraphPort
 from conformance.graph.rounding import AnyArray, Rounding
 from conformance.judging.findings import DepartureError, Failure, Finding
 from conformance.judging.search import EVERY_CHECK, SHRINK_SECONDS, EnoughError
-from conformance.protocol.port import Case, PortError
+from conformance.protocol.port import Case, PortError, error_text, foreign_code
 from stss_ground.errors import InputError
 
 TIERS = {"quick": 8, "full": 40}
@@ -226,11 +226,13 @@ def _check(model: Model, port: GraphPort, rounding: Rounding, inputs: dict[str, 
     case = Case(STAGE, inputs)
     where = f"case: {words}"
     try:
-        got = whole = port.run({name: array.copy() for name, array in inputs.items()})
+        with foreign_code():
+            got = whole = port.run({name: array.copy() for name, array in inputs.items()})
         if missing := [name for name in model.outputs if name not in whole]:
             raise PortError(f"output {missing[0]} is missing")
         if layers := getattr(port, "layers", None):
-            got = layers({name: array.copy() for name, array in inputs.items()})
+            with foreign_code():
+                got = layers({name: array.copy() for name, array in inputs.items()})
         _require_numbers(model, whole)
         _require_numbers(model, got)
     except Exception as error:
@@ -287,5 +289,5 @@ def _lines(wrong: Judgement, rows: Sequence[Judgement], ends: Sequence[Judgement
 
 def _lines_of(error: Exception) -> list[str]:
     """Lines on a port's error."""
-    headline, *more = [line[:300] for line in str(error).strip().splitlines()[:MOST_LINES]] or [""]
-    return [f"{type(error).__name__}: {headline}", *more]
+    text = str(error) if isinstance(error, PortError) else error_text(error)
+    return [line[:300] for line in text.strip().splitlines()[:MOST_LINES]] or [""]

@@ -5,13 +5,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from conformance.protocol.port import Abilities, Case, Outputs, Port, PortError, Unsupported
-from stss_ref.arrays import ArrayError
+from conformance.protocol.port import Abilities, Case, Outputs, Port, PortError, Unsupported, foreign_code
 from stss_ref.weights import Weights
 
 Talk = Generator[Any, Any, None]
@@ -58,16 +57,19 @@ def answers_of(port: Port, abilities: Abilities, cases: Sequence[Case]) -> list[
 def _answer(port: Port, case: Case) -> Answer:
     """The answer of an object. Arrays are copied, since it may write to its inputs, or later to its outputs."""
     inputs = {name: array.copy() for name, array in case.inputs.items()}
+    weights = None if case.weights is None else case.weights.convert(np.copy)
     try:
-        outputs = port.run(case.stage, inputs, None if case.weights is None else case.weights.convert(np.copy))
-        return {name: array.copy() for name, array in outputs.items()}
+        with foreign_code():
+            outputs = cast("object", port.run(case.stage, inputs, weights))
+        if not isinstance(outputs, Mapping):
+            return PortError(f"expected a dictionary of arrays, found {type(outputs).__name__}")
+        named = cast("Mapping[object, object]", outputs)
+        for name, array in named.items():
+            if not isinstance(array, np.ndarray):
+                return PortError(f"{name}: expected a NumPy array, found {type(array).__name__}")
+        return {name: array.copy() for name, array in cast("Outputs", named).items()}
     except PortError as error:
         return error
-    except ArrayError as error:
-        return PortError(str(error))
-    except Exception as error:
-        # The port is foreign code: anything that it raises is a failure on this case.
-        return PortError(f"{type(error).__name__}: {error}")
 
 
 def _run_once(name: str, run_many: RunMany, cases: Sequence[Case]) -> list[Answer]:

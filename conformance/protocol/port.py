@@ -3,13 +3,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
 from typing import Any, Protocol
 
+import numpy as np
 from numpy.typing import NDArray
 
 from conformance.protocol.weights_format import VERSIONS
+from stss_ref.arrays import ArrayError
 from stss_ref.weights import Weights
 
 AnyArray = NDArray[Any]
@@ -30,6 +33,34 @@ class PortError(RuntimeError):
     def __init__(self, message: str, at: int | None = None):
         super().__init__(message)
         self.at = at
+
+
+@contextmanager
+def foreign_code() -> Generator[None, None, None]:
+    """Run code of a port: it is foreign, and whatever it raises but an interrupt is its failure on this case.
+
+    What it sets for NumPy's errors does not outlast it.
+
+    Raises:
+        PortError: the code raised something.
+    """
+    with np.errstate():
+        try:
+            yield
+        except (PortError, KeyboardInterrupt):
+            raise
+        except ArrayError as error:
+            raise PortError(str(error)) from error
+        except BaseException as error:
+            raise PortError(error_text(error)) from error
+
+
+def error_text(error: BaseException) -> str:
+    """Type and message of an error of foreign code, whose message may fail too."""
+    try:
+        return f"{type(error).__name__}: {error}"
+    except Exception:
+        return f"{type(error).__name__}, whose message cannot be shown"
 
 
 @dataclass(frozen=True)

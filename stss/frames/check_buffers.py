@@ -96,7 +96,7 @@ def require_distinct(where: str, numbers: Array, floats: Array) -> None:
 def _size(buffers: Buffers) -> tuple[int, int]:
     depth = buffers.depth
     if not isinstance(depth, np.ndarray) or depth.ndim != 2 or 0 in depth.shape:  # pyright: ignore[reportUnnecessaryIsInstance]
-        got = getattr(depth, "shape", type(depth).__name__)
+        got = depth.shape if isinstance(depth, np.ndarray) else type(depth).__name__  # pyright: ignore[reportUnnecessaryIsInstance]
         raise InputError(f"frame {buffers.number}: depth: expected an array (H, W), found {got}")
     return depth.shape[0], depth.shape[1]
 

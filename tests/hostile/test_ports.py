@@ -443,6 +443,47 @@ def test_a_port_that_answers_in_one_buffer_is_found_out():
         judge.same("rrm.valid", second, first)
 
 
+class NoWordsError(Exception):
+    def __str__(self):
+        raise RuntimeError
+
+
+@pytest.mark.parametrize(
+    ("raised", "words"),
+    [
+        (SystemExit(3), "SystemExit: 3"),
+        (GeneratorExit("g"), "GeneratorExit: g"),
+        (NoWordsError(), "NoWordsError, whose message cannot be shown"),
+        ([1.0], "warped: expected a NumPy array, found list"),
+        (None, "expected a dictionary of arrays, found NoneType"),
+    ],
+    ids=["exit", "base", "no words", "list", "None"],
+)
+def test_whatever_an_object_raises_or_answers_is_a_failure_with_its_case(raised, words):
+    class Odd(ReferencePort):
+        def run(self, stage, inputs, weights=None):
+            if isinstance(raised, BaseException):
+                raise raised
+            return raised and dict.fromkeys(("warped", "inside"), raised)
+
+    judge = Judge(Odd())
+    with pytest.raises(DepartureError):
+        agrees(judge, "warp", smallest_case("warp").inputs)
+    assert words in str(judge.failure().finding)
+
+
+def test_what_a_port_sets_for_numpys_errors_ends_with_its_answer():
+    class Strict(ReferencePort):
+        def run(self, stage, inputs, weights=None):
+            np.seterr(all="raise")
+            with np.errstate(all="ignore"):
+                return super().run(stage, inputs, weights)
+
+    before = np.geterr()
+    agrees(Judge(Strict()), "warp", smallest_case("warp").inputs)
+    assert np.geterr() == before
+
+
 # Replay
 
 
