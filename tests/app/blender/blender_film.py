@@ -95,17 +95,27 @@ def make_trap(mine):
     scene.view_layers[0].use = False
     scene.view_layers.new("third")
     scene.use_nodes = scene.render.use_motion_blur = True
-    if hasattr(scene, "node_tree"):  # Blender 5 has no output node of its own for the test's purpose
-        tree = scene.node_tree
-        files = tree.nodes.new("CompositorNodeOutputFile")
-        files.base_path = str(mine)
-        tree.links.new(next(node for node in tree.nodes if node.type == "R_LAYERS").outputs[0], files.inputs[0])
+    write_files(scene, mine)
     edit = scene.sequence_editor_create()
     (edit.strips if hasattr(edit, "strips") else edit.sequences).new_effect(
         "c", "COLOR", 1, frame_start=1001, **length_of(edit, 9)
     )
     scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = 130, 90, 50
     return scene, [monkey, cube, ball, scene.objects["Plane"]]
+
+
+def write_files(scene, folder):
+    """A File Output node."""
+    if hasattr(scene, "compositing_node_group"):  # Blender 5
+        tree = scene.compositing_node_group = bpy.data.node_groups.new("compositor", "CompositorNodeTree")
+        layers, files = tree.nodes.new("CompositorNodeRLayers"), tree.nodes.new("CompositorNodeOutputFile")
+        layers.scene, files.directory = scene, str(folder)
+        files.file_output_items.new("RGBA", "Image")
+    else:
+        tree = scene.node_tree
+        files = tree.nodes.new("CompositorNodeOutputFile")
+        files.base_path, layers = str(folder), next(node for node in tree.nodes if node.type == "R_LAYERS")
+    tree.links.new(layers.outputs[0], files.inputs[0])
 
 
 def length_of(edit, frames):

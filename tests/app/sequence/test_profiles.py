@@ -123,11 +123,11 @@ def test_passes_are_found_by_the_names_of_every_blender(tmp_path, layer):
     assert set(sequence.frames[1].sources) == set(BUFFERS) - {"nov"}
 
 
-@pytest.mark.parametrize("names", [{}, {"DiffCol": "Diffuse Color", "IndexOB": "Object Index"}])
-def test_a_file_for_each_pass_is_found_by_the_names_of_every_blender(tmp_path, names):
-    """Without an AOV for the base colour its pass is taken."""
+@pytest.mark.parametrize(("start", "names"), [("", {}), ("file_name", {"DiffCol": "Diffuse Color", "IndexOB": "Object Index"})])
+def test_a_file_for_each_pass_is_found_by_the_names_of_every_blender(tmp_path, start, names):
+    """As Blender 4.5 and 5.0 write them by default. Without an AOV for the base colour its pass is taken."""
     for of, letters in {**PASSES, **dict.fromkeys(VALUES, "RGBA")}.items():
-        write_channels(tmp_path / f"{names.get(of, of)}0001.exr", {letter: np.ones((4, 4)) for letter in letters})
+        write_channels(tmp_path / f"{start}{names.get(of, of)}0001.exr", {letter: np.ones((4, 4)) for letter in letters})
     sequence = open_sequence(tmp_path)
     assert sequence.profile.name == "blender-files"
     assert set(sequence.frames[1].sources) == set(BUFFERS) - {"nov"}
