@@ -6,16 +6,17 @@ from __future__ import annotations
 import importlib
 import shlex
 import sys
+import traceback
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from conformance.protocol.port import Abilities, Port, PortError, abilities_of
+from conformance.protocol.port import Abilities, Port, PortError, abilities_of, foreign_code
 from conformance.protocol.program_port import FolderPort
 from conformance.protocol.stages import STAGES
 from conformance.protocol.weights_format import VERSIONS
-from stss_ground.errors import InputError
+from stss_ground.errors import InputError, UserError
 
 ARITHMETICS = ("float32", "float16", "bfloat16")
 
@@ -55,16 +56,18 @@ def load_port(
         if lacking:
             raise InputError(f"{spec}: expected a port, got a {type(port).__name__} without {', '.join(lacking)}")
         options = {"dtype": dtype, "winograd": winograd or None, "weights_version": weights_version}
-        abilities = replace(abilities_of(port), **{name: value for name, value in options.items() if value is not None})
+        with foreign_code():
+            own, stages_there = abilities_of(port), set[str](port.stages())
+        abilities = replace(own, **{name: value for name, value in options.items() if value is not None})
         arithmetic: Any = abilities.dtype
         # NumPy's own dtype equals its name, and is no key of the tables of bounds.
         if not isinstance(arithmetic, str) or arithmetic not in ARITHMETICS:
             raise InputError(f"{named}: dtype: expected the text float32, float16 or bfloat16, got {arithmetic!r}")
         if str(abilities.weights_version) not in VERSIONS:
             raise InputError(f"{named}: weights_version: expected 1, 3, 4 or 5, got {abilities.weights_version!r}")
-        unknown = set(port.stages()) - set(STAGES)
+        unknown = stages_there - set(STAGES)
     except PortError as error:
-        raise InputError(str(error)) from error
+        raise InputError(str(error) if spec is None else f"{spec}: {error}") from error
     if unknown:
         raise InputError(f"{named}: stages: not in the table: {', '.join(sorted(unknown))}")
     return port, abilities
@@ -77,19 +80,40 @@ def loaded_files() -> list[Path]:
 
 
 def import_port(spec: str) -> Any:
-    """Call ``package.module:factory``; the current folder is searched first. InputError if there is none."""
+    """Call ``package.module:factory``; the current folder is searched first.
+
+    Raises:
+        InputError: there is none, or it fails; with the line of the port at which it does.
+    """
     module, _, name = spec.partition(":")
     if not module or not name:
         raise InputError(f"--port: expected package.module:factory, got {spec!r}")
     if "" not in sys.path:
         sys.path.insert(0, "")
     try:
-        factory: Callable[[], Any] = getattr(importlib.import_module(module), name)
-    except ImportError as error:
-        raise InputError(f"--port {spec}: {error}") from error
-    except AttributeError as error:
-        raise InputError(f"--port {spec}: module {module} has no {name}") from error
-    return factory()
+        with foreign_code():
+            factory: Callable[[], Any] | None = getattr(importlib.import_module(module), name, None)
+        if factory is None:
+            raise InputError(f"--port {spec}: module {module} has no {name}")
+        if not callable(factory):
+            raise InputError(f"--port {spec}: expected a class or a function that makes the port, found {type(factory).__name__}")
+        with foreign_code():
+            return factory()
+    except PortError as error:
+        if isinstance(error.__cause__, UserError):
+            raise error.__cause__ from None
+        raise InputError(f"--port {spec}: {error}{_place(error.__cause__)}") from error
+
+
+def _place(error: BaseException | None) -> str:
+    """The file and line at which foreign code failed, in words; empty where that is in Python's own import."""
+    own: list[traceback.FrameSummary] = []
+    for frame in [] if error is None else traceback.extract_tb(error.__traceback__):
+        if frame.filename == __file__:
+            own.clear()  # what comes before is ours
+        elif not frame.filename.startswith("<") and frame.filename != importlib.__file__:
+            own.append(frame)
+    return f" ({Path(own[-1].filename).name}, line {own[-1].lineno})" if own else ""
 
 
 def split_command(program: str) -> list[str]:

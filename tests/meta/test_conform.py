@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """``stss conform`` as a porter types it."""
 
+import importlib
 import json
 import re
 import shutil
@@ -28,6 +29,7 @@ from conformance.suite.run_suite import run_suite
 from stss.cli.main import stss
 from stss.images.read_write import read_rgb
 from stss.port import ReferencePort
+from stss_ground.errors import InputError
 from stss_lab.stress.inputs import exact
 from stss_ref.constants import HOLE_FILLS
 from stss_ref.weights import Weights
@@ -38,6 +40,7 @@ EXAMPLE = Path(__file__).parents[2] / "conformance" / "examples" / "cpp"
 WRONG = """
 import numpy as np
 from stss.port import ReferencePort
+from stss_ground.errors import InputError
 
 class Port(ReferencePort):
     name = "wrong"
@@ -226,6 +229,34 @@ def test_known_failures(here):
     write_known(here, ["warp.no_such_test"])
     text = call("conform", "--port", "wrong_port:Port", "--stages", "rrm", "--known-failures", "known").stderr
     assert "known failures: no such test: warp.no_such_test" in text
+
+
+@pytest.mark.parametrize(
+    ("source", "words"),
+    [
+        ("\nraise RuntimeError('at import')", "RuntimeError: at import (odd.py, line 2)"),
+        ("import sys\nsys.exit(5)", "SystemExit: 5 (odd.py, line 2)"),
+        ("def x(:", "SyntaxError: invalid syntax (odd.py, line 1)"),
+        ("import helper_of_mine", "No module named 'helper_of_mine' (odd.py, line 1)"),
+        ("class P:\n    def __init__(self): raise OSError('no GPU')", "OSError: no GPU (odd.py, line 2)"),
+        ("class P:\n    def __init__(self, device): pass", "missing 1 required positional argument: 'device'"),
+        ("P = 3", "expected a class or a function that makes the port, found int"),
+        (
+            "class P:\n    name, dtype, run = 'p', 'float32', None\n    def stages(self): return None",
+            "odd:P: TypeError: 'NoneType'",
+        ),
+    ],
+)
+def test_a_port_that_does_not_load_is_one_line(tmp_path, monkeypatch, source, words):
+    (tmp_path / "odd.py").write_text(source)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delitem(sys.modules, "odd", raising=False)
+    importlib.invalidate_caches()
+    with pytest.raises(InputError) as found:
+        load_port("odd:P", None, 60)
+    assert words in str(found.value)
+    assert "odd:P: " in str(found.value)
+    assert "\n" not in str(found.value)
 
 
 @pytest.mark.parametrize(
