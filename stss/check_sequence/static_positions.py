@@ -36,9 +36,11 @@ MANY = 0.2
 PROPORTIONAL = 0.05
 """Largest median deviation of depths from the distance along the view, as a share of it."""
 TILT = 5.0
-"""Degrees: the least median angle between stored normals and those of the surfaces that positions form, from which there is a warning."""
+"""Degrees: the least median angle between stored normals and those of the surfaces that positions form, from which there is a warning.
+Found: up to 1.2 in the reference films."""
 LATE = 0.25
-"""A plane is of another frame if its error is then below this share of its error now."""
+"""A plane is of another frame if its error is then below this share of its error now. Found: up to 0.06 where it is, 19 and more
+where it is not."""
 MOVERS = 0.01
 """Share of the surfaces with stencil 0 that move by themselves, from which there is a warning."""
 MOVER = 0.5
@@ -291,9 +293,8 @@ def _verdict(
     fit = tuple(_line(true[:, k], motion[:, k]) for k in (0, 1))
     half, tells = _half_a_pixel(fit), errors[best] <= min(BETTER * own, max(AGREES, 3 * residual))
     best, tells = half or best, tells or bool(half)
-    relative = relative and _not_linear(motion, true) > max(
-        AGREES, 3 * residual
-    )  # a rotation alone moves all pixels as positions do
+    # A rotation alone moves all pixels as positions do.
+    relative = relative and _not_linear(motion, true) > max(AGREES, 3 * residual)
     moves, claims = (float(np.median(np.linalg.norm(of, axis=-1))) for of in (true, motion))
     if not motion.any() and moves > MOVES:
         best, tells = "0, though the camera moves", True

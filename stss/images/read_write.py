@@ -54,9 +54,8 @@ def read_channels(path: Path, names: Sequence[str], window: PixelWindow | None =
             for name in names:
                 if places[name][0] == part and first <= places[name][1] < stop:
                     values = pixels[..., places[name][1] - first]
-                    values = (
-                        values / 65535 if kind == "uint16" else values
-                    )  # OpenImageIO multiplies: some levels come a little low
+                    if kind == "uint16":  # OpenImageIO multiplies: some levels come a little low
+                        values = values / 65535
                     values = moved(values, data, window or header.display)
                     planes[name] = _quiet(np.ascontiguousarray(values, dtype=np.float32))
                     if (bad := merged(values, planes[name])) is not None:

@@ -37,8 +37,11 @@ class CameraPose:
 
     @classmethod
     def of_matrix(cls, matrix: Array) -> CameraPose | None:
-        """From a (4, 4) world to camera, for column or row vectors; None where it is neither, as with a projection, or has no inverse."""
-        if _is_last(matrix[:, 3]):
+        """From a (4, 4) world to camera, for column vectors, else for row vectors: a pure rotation may be either.
+
+        None where it is neither, as with a projection, or has no inverse.
+        """
+        if not _is_last(matrix[3]):
             matrix = matrix.T
         if not np.isfinite(matrix).all() or not _is_last(matrix[3]) or not np.linalg.det(matrix[:3, :3]):
             return None
@@ -90,7 +93,7 @@ def camera_of(header: Header, profile: Profile) -> CameraPose | None:
     matrix = header.attributes.get("worldToCamera")
     if isinstance(matrix, tuple) and len(matrix) == 16:
         # EXR's own convention is row vectors, translation in the last row; some writers store the transpose.
-        pose = CameraPose.of_matrix(np.array(matrix, dtype=np.float64).reshape(4, 4))
+        pose = CameraPose.of_matrix(np.array(matrix, dtype=np.float64).reshape(4, 4).T)
         if pose is not None:
             return pose
     for names in profile.camera:

@@ -36,7 +36,8 @@ def convert(
             ``nov`` may be missing if there is a camera; ``stencil``, ``roughness`` and ``metallic`` may be one number. Planes of other
             names go to ``carried``.
         profile: a built-in profile's name, a TOML file, or one from `load_profile`.
-        camera: (3,) its position or (4, 4) world to camera, for column or row vectors; in scene units.
+        camera: (3,) its position or (4, 4) world to camera, for column vectors, or for row vectors if it has a translation; in scene
+            units.
         cut: whether the frame is the first of a shot.
 
     Returns:

@@ -214,6 +214,20 @@ def test_steps_of_positions(write_frames, far, half, words):
     )
 
 
+def test_half_positions_far_away_are_coarse_and_not_missing(write_frames):
+    """So far that their steps, of 32 cm, merge neighbours."""
+
+    def change(number, channels):
+        for axis in "XYZ":
+            channels[f"position.{axis}"] = channels[f"position.{axis}"] / 100 + 6e4
+
+    warnings = texts(
+        check(write_frames([1, 2], change=change, half=[f"position.{axis}" for axis in "XYZ"]), SequenceOptions("stss")),
+        "warning",
+    )
+    assert any(text.startswith("position: half precision, in steps of 32 cm") for text in warnings), warnings
+
+
 def test_lossy_compression(write_frames, monkeypatch):
     from stss.images import encode as images
 

@@ -73,6 +73,13 @@ def test_a_plane_of_the_frame_before_is_named(frames, late):
     assert ("warning", f"{late}: that of the previous frame, by {other}; expected planes of one moment") in lines
 
 
+@pytest.mark.parametrize("without", [0, 1])
+def test_an_object_that_enters_or_leaves_is_no_new_number(frames, without):
+    """In the only pair of a short sequence, too."""
+    pair = [replace(f, stencil=0 * f.stencil) if i == without else f for i, f in enumerate(frames[:2])]
+    assert not [text for _, text in stss.check_frames(pair) if "the previous frame lacks" in text]
+
+
 def test_a_scene_may_show_no_side_with_a_negative_normal(frames):
     lines = stss.check_frames(replace(f, normal=np.abs(f.normal)) for f in frames)
     assert not [text for _, text in lines if "no negative component" in text]

@@ -336,6 +336,19 @@ def test_a_camera_may_be_a_place_or_a_matrix_of_either_kind():
     assert all(np.abs(other - one).max() < 1e-6 for other in others)
 
 
+@pytest.mark.parametrize("transpose", [False, True])
+def test_a_pure_rotation_is_for_column_vectors(transpose):
+    """A matrix without a translation may be of either kind; its axes, which planar depth needs, are those that pages promise."""
+    planes = {name: plane for name, plane in right(0).items() if name != "nov"}
+    camera = np.eye(4)[[1, 2, 0, 3]]
+    rules = stss.load_profile("stss", depth={"kind": "ray"})
+    depth = stss.convert(0, planes, rules, camera=camera.T if transpose else camera).depth
+    hit = np.isfinite(depth)
+    # The third row is the axis of the camera: x, or y of the transpose.
+    along = np.abs(planes["position"][..., 1 if transpose else 0][hit])
+    assert np.abs(depth[hit] - along).max() <= 1e-5 * along.max()
+
+
 @pytest.mark.parametrize("camera", [np.zeros((4, 4)), np.full(3, np.nan), np.zeros((3, 4)), np.eye(4)[[0, 1, 3, 2]]])
 def test_a_camera_that_is_none_is_refused(camera):
     with pytest.raises(InputError, match="camera: expected"):
