@@ -119,9 +119,9 @@ class Sequence:
         return tuple(path for frame in self.frames.values() for path in frame.files)
 
     def part(self, numbers: Collection[int]) -> Sequence:
-        """The sequence without the frames that ``numbers`` does not name."""
-        selection = copy(self)
-        selection.frames = {number: frame for number, frame in self.frames.items() if number in numbers}
+        """The sequence with only the frames of ``numbers`` and the first that can be read, which decides for all of them."""
+        selection, first = copy(self), self.first
+        selection.frames = {number: frame for number, frame in self.frames.items() if number in numbers or frame is first}
         return selection
 
     def load(self, number: int, *, color: bool = True, also: Collection[str] = ()) -> Buffers:

@@ -64,9 +64,8 @@ class Planes:
             self._readers = None
         buffers = {name: self._buffer(name, array, shape) for name, (array, shape) in arrays.items()}
         if not self._device.is_cpu and any(isinstance(array, cla.Array) for array, _ in arrays.values()):
-            after(
-                self.queue, self._device.queue
-            )  # there the caller, and ``on_device``, may have enqueued the commands that make them
+            # There the caller, and ``on_device``, may have enqueued the commands that make them.
+            after(self.queue, self._device.queue)
         return {n: self._widened(buffers[n], math.prod(shape)) if _is_half(x) else buffers[n] for n, (x, shape) in arrays.items()}
 
     def arrived(self) -> None:

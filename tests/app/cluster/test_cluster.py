@@ -110,6 +110,15 @@ def test_a_chunk_reads_five_frames_more_than_it_writes(frames, monkeypatch, tmp_
     assert f"a worker has stss {VERSION}; expected 0" in other.error
 
 
+def test_a_chunk_has_the_first_frame_that_can_be_read(write_frames, tmp_path):
+    """By it all processes decide alike whether the camera is solved."""
+    folder = write_frames(FRAMES, rendered=RENDERED, size=SIZE)
+    min(folder.iterdir()).write_bytes(b"")
+    sequence = open_sequence(folder, "stss", keep_going=True)
+    work = Work(VERSION, sequence, RENDERED, tmp_path, RunOptions(), Engine(load(BILINEAR), "ref", ComputeOptions()))
+    assert work.part([15]).sequence.first is sequence.first
+
+
 def test_resume_keeps_what_is_right_and_makes_the_rest(threads, frames, tmp_path):
     threads()
     out = tmp_path / "out"
