@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import faulthandler
 import shlex
 import sys
 from collections.abc import Iterable
@@ -135,6 +136,8 @@ def conform(
     """
     for package in ("pytest", "hypothesis"):
         require_package(package, "conform")
+    if not faulthandler.is_enabled():
+        faulthandler.enable(2)  # native code of a Python port may end this process: its line is then printed
     choice = PortChoice(spec, program, dtype, winograd, weights_version, timeout)
     if onnx is not None:
         _require_options("with --onnx", OF_STAGES)

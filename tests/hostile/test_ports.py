@@ -28,7 +28,7 @@ from stss.port import ReferencePort
 from stss_ground.errors import InputError
 from stss_ref.arrays import ArrayError
 from stss_ref.weights import random as random_weights
-from tests.hostile.cases import call, refused
+from tests.hostile.cases import call, refused, stss
 
 
 @pytest.fixture
@@ -500,3 +500,17 @@ def test_a_replay_is_judged_or_says_so(tmp_path):
         (folder / "property" / "property.json").write_text(drawn_text)
         with pytest.raises(InputError, match=r"damaged|expected the folder of one failure"):
             replay(wrong, folder)
+
+
+def test_native_code_that_ends_the_judge_names_its_line(tmp_path, monkeypatch):
+    """A Python port runs in the judge's process."""
+    lines = [
+        "import os",
+        "from stss.port import ReferencePort",
+        "class Port(ReferencePort):",
+        "    def run(self, *case): os.abort()",
+    ]
+    (tmp_path / "native.py").write_text("\n".join(lines))
+    done = stss("conform", "--port", "native:Port", "--stages", "warp", cwd=tmp_path, env={"PYTHONPATH": str(tmp_path)})
+    assert done.returncode < 0
+    assert f'native.py", line {len(lines)} in run' in done.stderr
