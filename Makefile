@@ -3,12 +3,16 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
 
-.PHONY: demo test test-training test-blender check bench mutants alarms faults fuzz kills gpu offline portability lowest judge-wheel clean
+.PHONY: demo test test-thorough test-training test-blender check bench mutants alarms faults fuzz kills gpu offline portability lowest judge-wheel clean
 
 demo: $(VENV)/.base
 	$(BIN)/stss demo demo --overwrite
 
+# For every commit. What takes long and whose parts other tests hold is left to test-thorough, which runs all.
 test: $(VENV)/.test
+	$(BIN)/python -m pytest -n 2 --dist worksteal --no-loadscope-reorder -m "not thorough"
+
+test-thorough: $(VENV)/.test
 	$(BIN)/python -m pytest -n 2 --dist worksteal --no-loadscope-reorder
 
 # The tests that need PyTorch, some gigabytes.

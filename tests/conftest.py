@@ -31,7 +31,7 @@ def pytest_collection_modifyitems(items):
     """
     kinds = {"cpu": [], "gpu": [], "": []}
     for item in items:
-        compiles = item.path.relative_to(TESTS).parts[0] in ("cl", "app", "hostile")
+        compiles = item.path.relative_to(TESTS).parts[0] in ("cl", "app") or "device" in item.fixturenames
         params = getattr(getattr(item, "callspec", None), "params", {})
         gpu = item.path.name == "test_conv_gpu.py" or GPU_TESTS & {*item.fixturenames, f"device-{params.get('device')}"}
         kinds["" if not compiles else "gpu" if gpu else "cpu"].append(item)

@@ -147,6 +147,7 @@ def test_that_it_is_emulated_is_said(processor, monkeypatch):
     assert len(lines) == 1
 
 
+@pytest.mark.thorough
 def test_the_last_layer_writes_the_image(processor, unoptimised, units, monkeypatch):
     """As the kernel that reads its result, but for outc's weights, two bfloat16 each: they lose 2**-17 of themselves, sums of 48 products
     2**-24 each."""

@@ -18,6 +18,7 @@ from stss_cl.device.caches import read
 from stss_cl.device.discovery import open_device
 from stss_ground.errors import DeviceError
 from tests.hostile.cases import stss
+from tests.tiers import thorough
 
 NOBODY = 65534
 COMPUTE = """
@@ -69,7 +70,8 @@ def kernels(home):
     return sorted(path for path in home.rglob("*") if path.suffix in (".bc", ".so"))
 
 
-def test_a_damaged_kernel_is_built_anew(processor, bare, tmp_path):
+@pytest.mark.parametrize("damages", [["a bit", "cut"], thorough(["empty", "zeros", "one byte more"])], ids=str)
+def test_a_damaged_kernel_is_built_anew(processor, bare, tmp_path, damages):
     """All at once here; PoCL ends the process for most of them, each time until somebody removes it. The folder is named."""
     home = tmp_path / "home"
     compute(bare)
@@ -77,9 +79,9 @@ def test_a_damaged_kernel_is_built_anew(processor, bare, tmp_path):
         pytest.skip("no files of PoCL")
     before = {path: path.read_bytes() for path in kernels(home)}
     assert not subprocess.run([sys.executable, "-c", COMPUTE], env=bare, capture_output=True, check=True).stderr
-    for how, damage in DAMAGE.items():
+    for how in damages:
         for path, data in before.items():
-            path.write_bytes(damage(data))
+            path.write_bytes(DAMAGE[how](data))
         done = subprocess.run([sys.executable, "-c", COMPUTE], env=bare, capture_output=True, text=True, check=False)
         assert done.stdout.startswith("computed"), (how, done.stderr)
         (line,) = done.stderr.splitlines()

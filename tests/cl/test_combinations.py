@@ -14,6 +14,7 @@ SIZE = 19, 45  # rows of eight pixels and the rest of one; whole tiles and cut o
 CHANGES = (*6 * ["nothing"], "moving", "moving", "pixel", "moving", "nothing", "moving", "rectangle", "moving")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("precision", "gather"),
     [("float32", "longest"), ("float32-direct", "bilinear"), ("half", "nearest"), ("bfloat16", "longest")],

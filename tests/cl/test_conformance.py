@@ -7,6 +7,7 @@ from conformance.suite.run_suite import run_suite
 from stss.port import OpenCLPort
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("opened")
 def test_conforms(device):
     precision = "float32" if device.is_cpu else "half"

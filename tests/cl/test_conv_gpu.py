@@ -18,6 +18,7 @@ from stss_cl.network.tiles import TileList
 from stss_ground.errors import DeviceError
 from tests.cl.conftest import anew
 from tests.cl.test_network import bounds, tensors
+from tests.tiers import every, thorough
 
 pytestmark = pytest.mark.usefixtures("unoptimised")
 MATRIX = Local(2, matrix_units=True)
@@ -91,7 +92,7 @@ def test_local(device, layer, dtype, rows):
     assert case.is_right(launch, dtype)
 
 
-@pytest.mark.parametrize("layer", [layer for layer in LAYERS if layer[1] % 8 == 0], ids=str)
+@pytest.mark.parametrize("layer", every(4, (layer for layer in LAYERS if layer[1] % 8 == 0)), ids=str)
 def test_matrix_units(device, layer):
     case = Case(device, layer, HALF)
     launch = case.layer(MATRIX)
@@ -147,7 +148,7 @@ ROWS = {
 
 
 @pytest.mark.parametrize(("name", "dtype"), [*((name, HALF) for name in ROWS), ("Winograd, vectors of 16", FLOAT)], ids=str)
-@pytest.mark.parametrize(("layer", "by_option"), [(LAYERS[0], False), (LAYERS[6], True)], ids=str)
+@pytest.mark.parametrize(("layer", "by_option"), [(LAYERS[0], False), thorough(LAYERS[6], True)], ids=str)
 def test_tiles_of_a_list(device, processor, monkeypatch, layer, by_option, name, dtype):
     """Only the listed tiles are written, whatever the number of work-groups; a pixel is marked if its bits now differ.
 

@@ -17,6 +17,7 @@ from stss_ref.arrays import ArrayError
 from stss_ref.frame import frame
 from stss_ref.weights import Weights, zeros
 from tests.cl.films import DETAILED, UNREAD, WEIGHTS, frame_inputs, uneven
+from tests.tiers import thorough
 
 STEPS = [(0, 2, 4), (1, 3, 5), (0, 0, 0), (1, 1, 1), (0, 2, 2), (1, 3, 3)]
 
@@ -25,11 +26,11 @@ STEPS = [(0, 2, 4), (1, 3, 5), (0, 0, 0), (1, 1, 1), (0, 2, 2), (1, 3, 3)]
     scope="module",
     params=[
         ("float32", WEIGHTS),
-        ("float32-direct", WEIGHTS),
-        ("half", WEIGHTS),
+        thorough(("float32-direct", WEIGHTS)),
+        thorough(("half", WEIGHTS)),
         ("float32", UNREAD),
         ("float32", DETAILED),
-        ("half", Weights(WEIGHTS, "detail")),
+        thorough(("half", Weights(WEIGHTS, "detail"))),
     ],
 )
 def frame_and_weights(request, device):

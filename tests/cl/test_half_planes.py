@@ -14,6 +14,7 @@ from stss_cl.skip.stream import Stream
 from stss_ref.arrays import ArrayError
 from tests.cl.films import WEIGHTS, assert_same, calls_of, film, halve, on
 from tests.cl.test_overlap import here, right
+from tests.tiers import thorough
 
 
 def widened(frame_):
@@ -55,7 +56,7 @@ def test_frames_of_half_have_the_bits_of_the_same_values_in_float32(device, skip
     assert skip == "off" or {"none", "changed", "whole"} <= messages
 
 
-@pytest.mark.parametrize("precision", ["float32", "half"])
+@pytest.mark.parametrize("precision", ["float32", thorough("half")])
 def test_the_reference_takes_the_same_planes(device, precision):
     """Images are as near to its images as those of planes in float32 are."""
     stream = Stream(WEIGHTS, device, precision)

@@ -17,6 +17,7 @@ from stss_ref.occlusion_warp import occlusion_warp, splat
 from stss_ref.resample import downsample_8, pad_to_8
 from stss_ref.reshade import reshade
 from tests.cl.films import frame_inputs as noise
+from tests.tiers import thorough
 
 BROKEN = (np.nan, np.inf, -np.inf, 3e38, -3e38, -0.0, 1e-42)
 TINY = 2.0**-100
@@ -156,10 +157,13 @@ def assert_prepared(device, preparation, inputs, size, second="newest", test="fo
 @pytest.mark.parametrize(
     ("test", "second", "hole_fill"),
     [
-        ("footprint", "newest", "occlusion_warp"), ("paper", "newest", "occlusion_warp"), ("footprint", "detail", "occlusion_warp"),
-        ("footprint", "detail", "reshade"), ("paper", "newest", "reshade"),
+        ("footprint", "newest", "occlusion_warp"),
+        thorough("paper", "newest", "occlusion_warp"),
+        thorough("footprint", "detail", "occlusion_warp"),
+        ("footprint", "detail", "reshade"),
+        thorough("paper", "newest", "reshade"),
     ],
-)  # fmt: skip
+)
 @settings(max_examples=20)
 @given(data=st.data(), size=sizes(26))
 def test_prepare(device, test, second, hole_fill, data, size):
@@ -192,11 +196,20 @@ def test_prepare_in_wide_frames(device):
     motions[:, :, 25::50][..., 1] = np.resize(far, motions[:, :, 25::50][..., 1].shape)
     stencils = (random.random((4, *size)) < 0.1).astype(np.float32)
     inputs = noise(size, motions=motions, stencils=stencils, positions=random.random((4, *size, 3)) * 30)
-    assert_prepared(device, prepared(Prepare(device, *size, PrepareOptions(second="detail")), inputs), inputs, size, "detail")
+    options = PrepareOptions(second="detail", hole_fill="reshade")
+    assert_prepared(device, prepared(Prepare(device, *size, options), inputs), inputs, size, "detail", hole_fill="reshade")
 
 
-@pytest.mark.parametrize(("test", "motion"), [("footprint", (1.5, 0.75)), ("footprint", (0.0, 0.0)), ("paper", (-3.25, 0.0))])
-def test_prepare_where_hardly_anything_is_a_hole(device, test, motion):
+@pytest.mark.parametrize(
+    ("test", "motion", "hole_fill"),
+    [
+        ("footprint", (1.5, 0.75), "reshade"),
+        ("footprint", (0.0, 0.0), "reshade"),
+        thorough("footprint", (1.5, 0.75), "occlusion_warp"),
+        thorough("paper", (-3.25, 0.0), "occlusion_warp"),
+    ],
+)
+def test_prepare_where_hardly_anything_is_a_hole(device, test, motion, hole_fill):
     """A surface that slides past: eight pixels in a row are read at once and trusted, but where one of the eight is another surface."""
     size = (24, 70)
     random = np.random.default_rng(9)
@@ -212,10 +225,11 @@ def test_prepare_where_hardly_anything_is_a_hole(device, test, motion):
     normals[:, :, 30:45] = 0
     motions = motion + random.uniform(0, 0.2, (5, *size, 2))
     inputs = noise(size, colors=colors, motions=motions, stencils=stencils, normals=normals, positions=positions)
-    preparation = Prepare(device, *size, PrepareOptions(second="detail", test=test))
+    preparation = Prepare(device, *size, PrepareOptions(second="detail", test=test, hole_fill=hole_fill))
     for _ in range(2):  # nothing that the first marked is left in the second
-        assert_prepared(device, prepared(preparation, inputs), inputs, size, "detail", test)
-        assert not downloaded(device, preparation.splat, size, np.uint32).any()
+        assert_prepared(device, prepared(preparation, inputs), inputs, size, "detail", test, hole_fill)
+        if hole_fill == "occlusion_warp":
+            assert not downloaded(device, preparation.splat, size, np.uint32).any()
     assert 0 < np.mean(downloaded(device, preparation.mask, size, np.uint8) == 0) < 0.2
 
 
@@ -247,9 +261,9 @@ ROOT = 1.5 * 10001**0.5
         ("footprint", edge((0, 0), 2, np.s_[0], far=np.s_[1])),
         ("footprint", edge((0, -1), 2, np.s_[15], far=np.s_[14])),
         ("footprint", edge((0, 0), 0, stencil=0.34)),
-        ("paper", edge((0, 0), 7.5 * (1 + 1e-5), apart=0)),
-        ("paper", edge((0, 0), 1, apart=0, depth=-1.0)),
-        ("paper", edge((0, 0), 2e19, apart=0, depth=1e18)),
+        thorough("paper", edge((0, 0), 7.5 * (1 + 1e-5), apart=0)),
+        thorough("paper", edge((0, 0), 1, apart=0, depth=-1.0)),
+        thorough("paper", edge((0, 0), 2e19, apart=0, depth=1e18)),
     ],
 )
 def test_prepare_trusts_eight_pixels_only_where_it_trusts_each(device, test, inputs):

@@ -10,12 +10,13 @@ from conformance.answers.port_arithmetic import Arithmetic
 from conformance.protocol.layers import LAYERS_OF, check_layers
 from stss.port import OpenCLPort
 from tests.meta.samples import samples
+from tests.tiers import thorough
 
 FUSED = {"up3.conv.double_conv.2", "outc"}
 """One launch with the image, or two with it."""
 
 
-@pytest.mark.parametrize("precision", ["float32", "float32-direct", "half"])
+@pytest.mark.parametrize("precision", ["float32", thorough("float32-direct"), thorough("half")])
 @pytest.mark.parametrize("stage", ["history", "encoder", "erm", "decoder", "network"])
 @pytest.mark.usefixtures("opened")
 def test_layers(stage, precision):

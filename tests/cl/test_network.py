@@ -20,13 +20,14 @@ from stss_cl.network.conv import ConvSpec, conv
 from stss_cl.network.layers import Layers
 from stss_cl.network.network import Network
 from stss_cl.network.pack_weights import EVERY_SECOND, POINTS, pack, winograd_matrix
-from stss_cl.options import PRECISIONS
 from stss_lab.tune.tile_timing import INTEL
 from stss_ref import conv as reference
 from stss_ref.network import network
 from stss_ref.weights import LAYERS, SOURCES, astype
 from stss_ref.weights import random as random_weights
+from tests.cl.conftest import OFTEN
 from tests.cl.films import network_inputs
+from tests.tiers import thorough
 
 _rows = built_in_rows(BUILT_IN)
 VECTORS = {8: _rows.classes["cpu"], 16: _rows.targets["rocketlake"]}
@@ -109,18 +110,18 @@ def bounds(x, weights, stride, side, *, gated):
 @pytest.mark.parametrize(
     ("size", "channels", "gated", "relu", "stride", "vector"),
     [
-        ((5, 7), (24, 24, 24), False, True, 1, 8),
-        ((5, 43), (24, 24, 24), False, False, 1, 16),
-        ((5, 43), (24, 0, 24), True, True, 1, 16),
-        ((5, 43), (24, 24, 24), False, True, 1, "small"),
+        thorough((5, 7), (24, 24, 24), False, True, 1, 8),
+        thorough((5, 43), (24, 24, 24), False, False, 1, 16),
+        thorough((5, 43), (24, 0, 24), True, True, 1, 16),
+        thorough((5, 43), (24, 24, 24), False, True, 1, "small"),
         ((13, 21), (32, 0, 32), True, False, 1, 8),
-        ((9, 10), (96, 0, 32), False, True, 1, 16),
-        ((6, 11), (32, 16, 64), True, True, 1, 8),
-        ((7, 17), (32, 96, 64), False, True, 1, 16),
+        thorough((9, 10), (96, 0, 32), False, True, 1, 16),
+        thorough((6, 11), (32, 16, 64), True, True, 1, 8),
+        thorough((7, 17), (32, 96, 64), False, True, 1, 16),
         ((5, 9), (4, 0, 24), False, True, 2, 8),
         ((7, 11), (24, 0, 24), True, True, 2, 16),
-        ((6, 7), (24, 0, 32), False, True, 2, 8),
-        ((9, 5), (32, 0, 32), True, True, 2, 16),
+        thorough((6, 7), (24, 0, 32), False, True, 2, 8),
+        thorough((9, 5), (32, 0, 32), True, True, 2, 16),
     ],
     ids=str,
 )
@@ -145,6 +146,7 @@ def test_all_convolutions_are_the_references(processor, size, channels, gated, r
         assert worst(np.abs(read(processor, out) - want), allowed) <= 1, f"tiles of {side}" if side else "direct"
 
 
+@pytest.mark.thorough
 @few
 @given(at=st.tuples(st.integers(0, 19), st.integers(0, 23)), gated=st.booleans(), stride=st.sampled_from([1, 2]), seed=SEEDS)
 def test_rounding_stays_within_a_tile(processor, at, gated, stride, seed):
@@ -175,7 +177,7 @@ def test_small_tiles_at_an_eighth(device):
     assert not fast or sides == {(4, 32 // 4), (4, 16 // 4), (4, 8 // 4), (2, 4 // 2)}
 
 
-@pytest.fixture(scope="module", params=PRECISIONS)
+@pytest.fixture(scope="module", params=OFTEN)
 def net(request, device):
     if request.param == "bfloat16" and not device.is_cpu:
         pytest.skip("the same kernels on either class")
@@ -194,6 +196,7 @@ def test_the_image_is_the_references(net, size, seed, share):
     assert ratio(f"network.cl.{net.precision}", image, want) <= 1
 
 
+@pytest.mark.thorough
 def test_the_image_with_vectors_of_16(processor, unoptimised):
     """From half storage: the stores and the image's own layer, too, know them. Those of 8: test_stream.py, other tile sizes."""
     if processor.name.startswith(INTEL):
@@ -206,7 +209,10 @@ def test_the_image_with_vectors_of_16(processor, unoptimised):
 
 
 @pytest.mark.parametrize("name", ["arena_small", "lewis_wide"])
-def test_the_image_is_the_authors(reference_data, device, name):
+@pytest.mark.parametrize("precision", OFTEN)
+def test_the_image_is_the_authors(reference_data, device, name, precision):
+    if precision == "bfloat16" and not device.is_cpu:
+        pytest.skip("the same kernels on either class")
     from safetensors.numpy import load_file
 
     from stss.weights.checkpoint import read_checkpoint
@@ -216,9 +222,7 @@ def test_the_image_is_the_authors(reference_data, device, name):
     inputs[2] = inputs[2][..., 0]
     weights = read_checkpoint(reference_data / "checkpoints" / f"{name.split('_')[0]}.pkl")
     want = np.moveaxis(data["output.float64"], 0, -1)
-    for precision in PRECISIONS:
-        image = Network(weights, device, precision)(*inputs)
-        assert ratio(f"network.cl.{precision}", image, want) <= 1, precision
+    assert ratio(f"network.cl.{precision}", Network(weights, device, precision)(*inputs), want) <= 1
 
 
 def without(weights, *layers):
@@ -261,6 +265,7 @@ def without_units(weights, seed):
     return weights | tensors
 
 
+@pytest.mark.thorough
 @example({"convHis1.0"}, 3, False, "float32", 16)
 @given(
     st.sets(st.sampled_from([layer.name for layer in LAYERS]), max_size=4), st.none(), st.booleans(), st.just("float32"), st.just(8)

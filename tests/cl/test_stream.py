@@ -21,6 +21,7 @@ from stss_cl.skip.stream import Stream
 from stss_ref.arrays import ArrayError
 from tests.cl.conftest import anew, watch_launches
 from tests.cl.films import CHANGES, DETAILED, UNREAD, WEIGHTS, assert_same, calls_of, film
+from tests.tiers import thorough
 
 
 @st.composite
@@ -39,7 +40,7 @@ def sequences(draw):
 
 @pytest.fixture(
     scope="module",
-    params=[("float32", WEIGHTS), ("half", WEIGHTS), ("float32", UNREAD), ("float32", DETAILED)],
+    params=[("float32", WEIGHTS), thorough(("half", WEIGHTS)), ("float32", UNREAD), ("float32", DETAILED)],
     ids=lambda p: p[0] + " unread" * (p[1] is UNREAD) + " detailed" * (p[1] is DETAILED),
 )
 def pair(request, device):
@@ -151,7 +152,7 @@ def test_what_weights_do_not_read_is_not_computed(device):
                 assert keeping.cost.network == ("changed" if i <= last else "none")
 
 
-@pytest.mark.parametrize(("precision", "tall"), [("float32-direct", False), ("float32", True), ("half", False)])
+@pytest.mark.parametrize(("precision", "tall"), [thorough("float32-direct", False), ("float32", True), thorough("half", False)])
 def test_nothing_is_computed_far_from_a_change(device, monkeypatch, precision, tall):
     """No further than the overlap of strips; and everything that did change is."""
     size, target = (800, 16) if tall else (16, 800), LastImage.target

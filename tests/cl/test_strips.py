@@ -19,8 +19,9 @@ from stss_ground.errors import DeviceError
 from stss_ref.frame import frame as reference_frame
 from stss_ref.weights import LAYERS
 from stss_ref.weights import random as random_weights
-from tests.cl.conftest import QUICK
+from tests.cl.conftest import OFTEN
 from tests.cl.films import calls_of, film, frame_inputs, network_inputs, uneven
+from tests.tiers import thorough
 
 WIDTH = 24
 
@@ -65,7 +66,7 @@ def test_too_small_a_limit_says_what_is_needed():
 
 @pytest.mark.parametrize(
     ("precision", "size", "skip"),
-    [("float32", (8, 8), "exact"), ("float32-direct", (272, 480), "off"), ("half", (272, 480), "exact")],
+    [("float32", (8, 8), "exact"), ("float32-direct", (272, 480), "off"), thorough("half", (272, 480), "exact")],
 )
 @pytest.mark.usefixtures("launched")
 def test_the_limit_counts_what_is_allocated(device, monkeypatch, precision, size, skip):
@@ -93,7 +94,7 @@ def test_the_limit_counts_what_is_allocated(device, monkeypatch, precision, size
     assert allocated >= 0.7 * counted - slack
 
 
-@pytest.mark.parametrize("precision", QUICK)
+@pytest.mark.parametrize("precision", [precision for precision in OFTEN if precision != "bfloat16"])
 def test_strips_have_the_bits_of_the_whole(device, precision):
     weights, height = random_weights(2), 1221
     inputs = network_inputs((height, WIDTH))

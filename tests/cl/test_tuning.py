@@ -195,6 +195,7 @@ def run(device, monkeypatch):
     return out.file.getvalue(), log.file.getvalue()
 
 
+@pytest.mark.thorough
 def test_the_command_on_a_device(device, monkeypatch):
     """A few shapes with few candidates, for real: whatever it finds can be read and run."""
     monkeypatch.setattr(tune, "SHAPES", [shape_like(n, 1, False) for n in OUTPUTS] + [shape_like(24, 2, True)])

@@ -19,6 +19,7 @@ from conformance.suite.properties import find_property
 from conformance.suite.run_suite import run_suite
 from stss.port import ReferencePort
 from tests.meta.samples import samples
+from tests.tiers import every
 
 
 def explain(port, stage):
@@ -41,6 +42,7 @@ def test_a_planted_mistake_is_named(name):
     assert mistake.what in explain(mistake.port(), mistake.stage)
 
 
+@pytest.mark.thorough
 def test_what_contains_a_stage_names_its_mistakes():
     mistake = find("history_newest_first")
     assert mistake.what in explain(mistake.port(), "network")
@@ -113,7 +115,7 @@ def frames_of_every_kind():
         yield {**tiny, "steps": np.array(steps, np.int32)}, made_weights("random", 0, second, test)
 
 
-@pytest.mark.parametrize("stage", ["history", "encoder", "erm", "decoder"])
+@pytest.mark.parametrize("stage", every(4, ["erm", "history", "encoder", "decoder"]))
 def test_every_mistake_runs_on_what_its_stage_draws(stage):
     """One that raises would explain nothing. `test_mutants` runs those of image stages on all of their samples."""
     cases = samples(stage)[:3]
@@ -124,6 +126,7 @@ def test_every_mistake_runs_on_what_its_stage_draws(stage):
                 port.run(stage, case.inputs, case.weights)
 
 
+@pytest.mark.thorough
 def test_every_mistake_runs_on_every_kind_of_frame():
     """The network itself, which takes long and none of them changes, is left out."""
     judge = Judge(ReferencePort())

@@ -17,6 +17,7 @@ from stss.port import ReferencePort
 from stss_lab.stress.inputs import exact as as_float64
 from stss_ref.sample import follow
 from tests.meta.samples import departs, samples
+from tests.tiers import every
 
 
 def by_id(mutant):
@@ -59,7 +60,7 @@ def is_found_out(port, stage, *, bits, large=False):
     return is_found
 
 
-@pytest.mark.parametrize("mutant", MISTAKES, ids=by_id)
+@pytest.mark.parametrize("mutant", every(8, MISTAKES), ids=by_id)
 def test_a_fault_is_one(mutant):
     """It applies, runs, and shows in every stage whose tests must catch it."""
     port = mutant.port()

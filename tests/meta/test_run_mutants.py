@@ -7,6 +7,7 @@ from conformance.mistakes import MISTAKES, find
 from conformance.report.failures import keep_failure, replay
 from stss.port import ReferencePort
 from tests.meta.run_mutants import failed
+from tests.tiers import every
 
 STAGES = sorted({mutant.stage for mutant in MISTAKES})
 SMALL = [mutant for mutant in MISTAKES if not mutant.large]
@@ -14,7 +15,7 @@ NAMES = [name for stage in STAGES for name in [mutant.id for mutant in SMALL if 
 NAMES.append("frame_hole_test_ignored")  # the kept weights say which test
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", every(3, NAMES))
 def test_found_out(name, tmp_path):
     """The mutant fails again from the kept folder, while a mended port, the reference, passes."""
     (result,) = failed(name)

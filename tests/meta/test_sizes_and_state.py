@@ -18,6 +18,7 @@ from conformance.suite.properties import find_property
 from conformance.suite.run_suite import run_suite
 from stss.port import ReferencePort
 from tests.meta.test_questions import Program
+from tests.tiers import every, thorough
 
 NETWORKS = ("history", "encoder", "erm", "decoder", "network", "frame")
 
@@ -76,8 +77,9 @@ SIZED = [
 ]
 
 
-@pytest.mark.parametrize(("stage", "kind"), SIZED, ids=str)
-def test_a_mistake_of_size_is_found_in_the_quick_tier(stage, kind):
+@pytest.mark.parametrize("sized", every(3, SIZED), ids=str)
+def test_a_mistake_of_size_is_found_in_the_quick_tier(sized):
+    stage, kind = sized
     body, judge = find_property(f"{stage}.large_frames_agree_with_the_reference"), Judge(Sized(kind))
     cases = [make(np.random.default_rng(0)) for make in large_inputs(stage, TIERS["quick"].large)]
     with pytest.raises(DepartureError):
@@ -106,7 +108,7 @@ class Counted(ReferencePort):
 
 
 @pytest.mark.parametrize("counted", [("rows", 720), ("pixels", 1 << 20), ("numbers", 65_535 * 64)], ids=str)
-@pytest.mark.parametrize("stage", ["warp", "rrm"])
+@pytest.mark.parametrize("stage", [thorough("warp"), "rrm"])
 def test_a_mistake_beyond_720p_is_found_in_the_quick_tier(stage, counted):
     if (stage, counted[0]) == ("rrm", "numbers"):
         counted = "numbers", 65_535 * 16
@@ -171,8 +173,9 @@ KEPT = [
 """Stage and what it is kept by."""
 
 
-@pytest.mark.parametrize(("stage", "key"), KEPT, ids=str)
-def test_what_is_kept_by_a_part_of_the_inputs_is_found(stage, key):
+@pytest.mark.parametrize("kept", every(4, KEPT), ids=" by ".join)
+def test_what_is_kept_by_a_part_of_the_inputs_is_found(kept):
+    stage, key = kept
     (result,) = run_suite(Judge(Keeps(key), shrink=False), [stage], only="kept_by_a_part")
     assert result.outcome == "failed"
     assert result.record.about.startswith("the previous call differs only in this: ")

@@ -37,6 +37,7 @@ def here(tmp_path):
     return tmp_path
 
 
+@pytest.mark.thorough
 def test_a_checkout_judges_a_port(here):
     """A wrong test fails with the judge's words and the command that runs it again; a known failure is excused; pytest writes JUnit."""
     entries = [{"test": "rrm.large_frames_agree_with_the_reference", "until": "2999-01-01", "reason": "https://example.org/1"}]

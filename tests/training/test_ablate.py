@@ -13,6 +13,7 @@ from training import ablate
 ROWS = ("whole", "gbuffer", "erm", "SF")
 
 
+@pytest.mark.thorough
 def test_every_row_differs_from_the_whole(tmp_path, capsys):
     for seed, split in ((1, "training"), (2, "validation")):
         write_film(seed, "aliased", (48, 56), "occlusion_warp", tmp_path)

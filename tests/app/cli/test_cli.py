@@ -15,6 +15,7 @@ from stss.run.skip_report import describe_costs
 from stss_cl.cost import Cost
 from tests.app.conftest import PLAIN, files, frame_channels, frames_of
 from tests.hostile.cases import call, refused
+from tests.tiers import thorough
 
 SIZE = (18, 32)
 FRAMES = 10
@@ -121,7 +122,7 @@ def test_a_range_has_the_bits_of_the_whole_and_says_what_was_skipped(frames, wei
 @pytest.mark.parametrize(
     "others",
     [
-        ("--precision", "half", "--skip", "off", "--memory-limit", "9", "--transfer", "none", "--depth", "clip"),
+        thorough(("--precision", "half", "--skip", "off", "--memory-limit", "9", "--transfer", "none", "--depth", "clip")),
         (*PLAIN, "--keep-going", "--non-finite", "mask", "--format", "png", "--rendered", "even"),
     ],
     ids=" ".join,
@@ -225,6 +226,7 @@ def test_json_has_what_it_is_for(sequence, plain, weights, command, key):
     assert key in json.loads(stss(*command.format(demo=sequence, plain=plain, weights=weights).split(), "--json").stdout)
 
 
+@pytest.mark.thorough
 def test_blender_with_the_authors_weights(device, reference_data, blender_camera, tmp_path):
     """The figures of the specification's page, to 0.1 dB: RGB PSNR over frames 6 to 14."""
     weights = tmp_path / "arena.safetensors"

@@ -75,6 +75,7 @@ def gather_words(frames, out, last=7):
     return [TEMPLATE, "--step", "Gather", "--run-dependencies", *(w for n, v in parameters.items() for w in ("-p", f"{n}={v}"))]
 
 
+@pytest.mark.thorough
 def test_the_command_of_the_page_runs_as_it_stands(openjd, write_frames, device, tmp_path):
     write_frames(range(12), rendered=range(0, 12, 2), size=(8, 8), folder="frames")
     text = (ROOT / "docs" / "farm.md").read_text(encoding="utf-8")

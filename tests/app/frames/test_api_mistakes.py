@@ -21,6 +21,7 @@ from stss_ref.arrays import ArrayError
 from stss_ref.weights import Weights, WeightsError, random
 from stss_ref.weights import check as check_weights
 from tests.app.frames.test_engine_loop import SIZE, engine, frames
+from tests.tiers import every
 
 ERRORS = (InputError, DeviceError, ArrayError, WeightsError)
 WRONG = [5, 0.5, None, True, "x\0y", b"x", [], {}, object(), datetime.date(2026, 1, 1), np.zeros((2, 2)), np.array(["x"])]
@@ -107,7 +108,7 @@ CALLS["Stream(skip)"] = (lambda v: Stream(random(0), skip=v), ())
 TAKEN = {"convert stencil": (int, float, bool)}
 
 
-@pytest.mark.parametrize("name", CALLS)
+@pytest.mark.parametrize("name", every(3, CALLS))
 def test_a_value_of_a_wrong_kind_is_one_line(name):
     call, takes = CALLS[name]
     for value in WRONG:

@@ -29,6 +29,7 @@ def test_mistakes():
         assert message in str(ran.exception) + ran.output
 
 
+@pytest.mark.thorough
 def test_exact_has_the_bits_and_half_departs(device, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     ran = CliRunner().invoke(

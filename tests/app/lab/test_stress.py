@@ -31,6 +31,7 @@ def test_the_hole_test_loses_nothing_itself():
     assert columns["origin taken off by the renderer"][-1] < 1
 
 
+@pytest.mark.thorough
 def test_the_backend_is_measured_in_each_of_its_precisions(device):
     plan = make_plan(device, WEIGHTS)
     assert [engine.name for engine in plan.engines] == ["ref", "cl", "cl direct", "cl half", "cl bfloat16"]

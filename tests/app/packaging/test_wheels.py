@@ -194,6 +194,7 @@ LACKS = {"x86_64-unknown-linux-musl": "openimageio"}
 """Platform -> the requirement that has no wheel there."""
 
 
+@pytest.mark.thorough
 def test_all_that_stss_needs_has_wheels():
     """On every platform but those that lack one, which is named."""
     uv = shutil.which("uv", path=str(Path(sys.executable).parent)) or shutil.which("uv")
