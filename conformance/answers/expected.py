@@ -26,6 +26,8 @@ class Expected:
         others: further right answers, each of the shape of ``want``: where rounding decides, either side is right.
         vectors: whether the last axis belongs together: an answer is right as a whole, and non-finite as a whole.
         rms: the largest root mean square of all errors together; infinite: no limit.
+        free: where rounding decides between whole ranges of answers, which ``allowed`` spans; broadcasts to ``want``. An error within it
+            counts as none, since it says nothing of the port's arithmetic.
     """
 
     want: NDArray[Any]
@@ -33,6 +35,7 @@ class Expected:
     others: tuple[NDArray[Any], ...] = ()
     vectors: bool = False
     rms: float = np.inf
+    free: Bool | None = None
 
     @property
     def undecided(self) -> int:
@@ -40,11 +43,14 @@ class Expected:
         different = np.zeros(self.want.shape, bool)
         for other in self.others:
             different |= (other != self.want) & ~(np.isnan(other) & np.isnan(self.want))
+        if self.free is not None:
+            different |= self.free
         return int(different.sum())
 
     def ratios(self, got: NDArray[Any]) -> Float64:
         """``error / allowed`` of each number, against the right answer nearest to it; a wrong mask is infinitely wrong."""
-        return reduce(np.minimum, (self._against(got, want) for want in (self.want, *self.others)))
+        ratios = reduce(np.minimum, (self._against(got, want) for want in (self.want, *self.others)))
+        return ratios if self.free is None else np.where(self.free & (ratios <= 1), 0.0, ratios)
 
     def together(self, got: NDArray[Any]) -> float:
         """Root mean square of all errors, divided by its limit."""
@@ -52,6 +58,15 @@ class Expected:
             return 0.0
         with np.errstate(over="ignore", invalid="ignore"):
             return worst(np.sqrt(np.mean((got.astype(np.float64) - self.want) ** 2)), np.asarray(self.rms))
+
+    def part(self, place: tuple[slice, ...]) -> Expected:
+        """The right answers of a part of the output."""
+        allowed, free = (
+            np.broadcast_to(array, self.want.shape)[place] if isinstance(array, np.ndarray) else array
+            for array in (self.allowed, self.free)
+        )
+        others = tuple(other[place] for other in self.others)
+        return replace(self, want=self.want[place], allowed=allowed, others=others, free=free)
 
     def closer(self, got: NDArray[Any]) -> Expected:
         """The same, with the limit of the root mean square for each number, if ``got`` only exceeds that limit."""

@@ -52,7 +52,7 @@ def expect_reshade(
     # Any mean lies within the colours, but for the roundings of the longest sum.
     largest, most = max(color.max(), warped.max()), BOUNDS["like"].roundings + 2 * (2 * RADIUS + 1) ** 2
     allowed = np.where(undecided, largest * (1 + most * arithmetic.unit), allowed)[..., None] + arithmetic.flushed(warped)
-    return {"reshade": Expected(want, allowed)}, undecided
+    return {"reshade": Expected(want, allowed, free=undecided[..., None])}, undecided
 
 
 def _pixels(where: Bool) -> Pixels:

@@ -101,12 +101,7 @@ def _image_window(stage: str, inputs: Inputs, arithmetic: Arithmetic, outputs: O
     right = expect(stage, _cut(stage, inputs, around), None, arithmetic, answer)
     parts: dict[str, tuple[tuple[slice, ...], Expected]] = {}
     for name, expected in right.items():
-        own = _place(specs[name], window, around)
-        allowed: Any = expected.allowed
-        if isinstance(allowed, np.ndarray):
-            allowed = np.broadcast_to(allowed, expected.want.shape)[own]
-        others = tuple(other[own] for other in expected.others)
-        parts[name] = _place(specs[name], window), replace(expected, want=expected.want[own], allowed=allowed, others=others)
+        parts[name] = _place(specs[name], window), expected.part(_place(specs[name], window, around))
     return Window(*window, parts)
 
 

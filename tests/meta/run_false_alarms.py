@@ -1,9 +1,13 @@
 # SPDX-License-Identifier: MIT
-"""``make alarms``: right ports with other arithmetic pass the full tier; the table of docs/conformance.md."""
+"""``make alarms``: right ports with other arithmetic pass the full tier; the table of docs/conformance.md.
+
+``python -m tests.meta.run_false_alarms [PORT or STAGE ...]`` tries some, and writes no table.
+"""
 
 import os
 import sys
 from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 
@@ -40,12 +44,12 @@ def table(found):
 def main():
     os.environ["OMP_NUM_THREADS"] = "1"
     start = perf_counter()
-    names = sys.argv[1:] or list(PORTS)
-    if unknown := [name for name in names if name not in PORTS]:
-        sys.exit(f"{', '.join(unknown)}: expected some of {', '.join(PORTS)}")
+    if unknown := [name for name in sys.argv[1:] if name not in (*PORTS, *SUITE)]:
+        sys.exit(f"{', '.join(unknown)}: expected some of {', '.join((*PORTS, *SUITE))}")
+    names, stages = ([name for name in sys.argv[1:] if name in some] or list(some) for some in (PORTS, SUITE))
     ratios = {}
     with ProcessPoolExecutor() as pool:
-        for name, (alarms, worst, counts) in zip(names, pool.map(judged, names), strict=True):
+        for name, (alarms, worst, counts) in zip(names, pool.map(partial(judged, stages=stages), names), strict=True):
             ratios[name] = alarms, worst, counts
             print(f"{name}: {counts[0]} cases, {counts[1]} numbers decided by rounding, {counts[2]} cases not judged")
             print("   ", ", ".join(f"{stage} {ratio:.2g}" for stage, ratio in worst.items()))

@@ -203,6 +203,7 @@ def write_known(here, names, until="2999-01-01"):
     (here / "known").write_text(json.dumps({"format": 1, "failures": entries}))
 
 
+@pytest.mark.thorough
 def test_known_failures(here):
     run("--port", "wrong_port:Inverted", "--stages", "rrm", "--json", "found.json")
     failed = [test["id"] for test in json.loads((here / "found.json").read_text())["tests"] if test["outcome"] == "failed"]
@@ -317,6 +318,15 @@ def test_the_nearest_right_answer_counts():
     assert largest(expected, np.array([[1.0, 6.0], [np.nan, 1.0]])) > 1  # half of one, half of the other
     assert largest(expected, np.array([[1.0, 2.0], [0.0, 1.0]])) == np.inf
     assert largest(expected, np.zeros((1, 2))) == np.inf
+
+
+def test_where_rounding_decides_between_ranges_an_error_within_them_is_none():
+    """It would hide how near the port comes to the bounds elsewhere; beyond them it is one."""
+    expected = Expected(np.zeros((1, 2, 3)), np.array([[[0.5], [4.0]]]), free=np.array([[[False], [True]]]))
+    assert expected.undecided == 3
+    assert expected.part((slice(0, 1), slice(1, 2))).undecided == 3
+    assert expected.ratios(np.array([[3 * [0.25], 3 * [4.0]]])).tolist() == [[3 * [0.5], 3 * [0.0]]]
+    assert expected.ratios(np.array([[3 * [0.25], 3 * [8.0]]])).tolist() == [[3 * [0.5], 3 * [2.0]]]
 
 
 @pytest.mark.skipif(not shutil.which("make") or not shutil.which("g++"), reason="needs make and g++")
