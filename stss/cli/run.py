@@ -24,7 +24,7 @@ from stss.frames.backends import open_backend
 from stss.frames.compute_options import ComputeOptions
 from stss.images.color import chromaticities, same_primaries
 from stss.run.frame_job import FrameReport
-from stss.run.job import Summary
+from stss.run.job import Summary, plan
 from stss.run.job import run as run_sequence
 from stss.run.options import RunOptions
 from stss.run.skip_report import Tally, describe_costs
@@ -77,6 +77,7 @@ def run(
         _tell_of_png(frames, options)
     reads = [Path(weights)]
     loaded = choose_weights(weights, frames, _tell)
+    plan(frames, out, options)  # the user's mistakes are said before a device is opened, which may take a minute
     first, last = options.frames or (frames.numbers[0], frames.numbers[-1])
     start, tally = time.monotonic(), Tally()
     try:

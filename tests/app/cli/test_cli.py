@@ -238,3 +238,10 @@ def test_blender_with_the_authors_weights(device, reference_data, blender_camera
         means = json.loads(result.stdout)["means"]
         assert abs(means["SF"]["all"]["psnr_rgb"] - sf) <= 0.1
         assert abs(means["EF"]["all"]["psnr_rgb"] - ef) <= 0.1
+
+
+def test_a_mistake_is_said_before_a_device_is_opened(frames, tmp_path, monkeypatch):
+    """A test of a new device takes a minute."""
+    monkeypatch.setattr("stss.cli.run.open_backend", lambda *_, **__: pytest.fail("opened"))
+    for option in (["--frames", "1:99999"], ["--cuts", "77"], ["--resume", "--overwrite"]):
+        refused(stss("run", frames, "-o", tmp_path / "out", "--weights", "bilinear", *option), option[0])
