@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conformance.answers.expected import Expected
+from conformance.cases.engine_inputs import ENGINE_STAGES, engine_inputs
 from conformance.judging.findings import DepartureError, Finding
 from conformance.judging.judge import Judge
 from conformance.mistakes import Mistake, of_stage
@@ -67,15 +68,33 @@ def diagnose(judge: Judge, findings: Iterable[Finding]) -> str:
     others = [_answered(judge, case, got) for case, got in judge.answered if case.stage == failed[0].case.stage]
     mistakes, end = suspects(failed[0].case.stage), process_time() + MOST_SECONDS
     matches: list[tuple[float, Mistake]] = []
-    for tried, mistake in enumerate(mistakes):
+    tried = 0
+    for mistake in mistakes:
         if process_time() > end or (mistake in RARE and any(each not in RARE for _, each in matches)):
-            return _describe(matches, tried)
+            break
+        tried += 1
         distances = [_distance(mistake, failed[0])]
         if distances[0] < np.inf:
             distances += [_distance(mistake, each) for each in [*failed[1:], *others]]
         if max(distances) < np.inf:
             matches.append((distances[0], mistake))
-    return _describe(matches, len(mistakes))
+    return _describe(_tell_apart(judge, failed[0].case.stage, matches), tried)
+
+
+def _tell_apart(judge: Judge, stage: str, matches: list[tuple[float, Mistake]]) -> list[tuple[float, Mistake]]:
+    """Of mistakes that all explain the failures: those that also explain the port's answers to the values of engines, if any does.
+
+    The smallest failures have a pixel or two, in which many mistakes look alike.
+    """
+    for make in engine_inputs(stage) if len(matches) > 1 and stage in ENGINE_STAGES else ():
+        made = make(np.random.default_rng(0))
+        case = judge.make_case(stage, *(made if STAGES[stage].weights else (made,)))
+        try:
+            answer = _answered(judge, case, judge.run(case.stage, case.inputs, case.weights))
+        except DepartureError:
+            continue  # an answer of another shape, or none: nothing to compare
+        matches = [match for match in matches if _distance(match[1], answer) < np.inf] or matches
+    return matches
 
 
 def _again(judge: Judge, finding: Finding) -> _Answered | None:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from conformance.protocol.reference_copy import Mistake, change_arguments, fault, half, put, returns, wrap
-from stss_ref.motion_chain import gather_bilinear, gather_nearest, read_motion
+from stss_ref.motion_chain import gather_bilinear, gather_nearest, read_motion, squared_lengths, truncated
 from stss_ref.sample import Place, Taps, leads_inside
 
 Change = Callable[..., Any]
@@ -94,6 +94,15 @@ def _clamped(motion: Any, x: Any, y: Any) -> Any:
     return motion[np.clip(y, 0, motion.shape[0] - 1), np.clip(x, 0, motion.shape[1] - 1)]
 
 
+def _longest_inside(motion: Any, at: Place) -> Any:
+    x, y = truncated(at.x, at.fx), truncated(at.y, at.fy)
+    x, y = (np.stack(places) for places in ((x, x + 1, x, x + 1), (y, y, y + 1, y + 1)))
+    corners, inside = read_motion(motion, x, y), (x >= 0) & (x < motion.shape[1]) & (y >= 0) & (y < len(motion))
+    longest = np.where(inside, squared_lengths(corners), -1).argmax(axis=0)
+    still = (inside & (corners == 0).all(axis=-1)).any(axis=0)
+    return np.where(still[..., None], 0, np.take_along_axis(corners, longest[None, ..., None], axis=0)[0])
+
+
 def _without_last_column(motion: Any, x: Any, y: Any) -> Any:
     return np.where((x == motion.shape[1] - 1)[..., None], 0, read_motion(motion, x, y))
 
@@ -126,6 +135,11 @@ MOTION_CHAIN = (
     _steps("five_steps", "up to five steps", lambda motions: motions[:5]),
     _steps("oldest_first", "takes the motions as oldest first", lambda motions: motions[::-1]),
     _chain("border_clamped", "the nearest pixel outside the frame, not 0", put("motion_chain.read_motion", _clamped)),
+    _chain(
+        "outside_left_out",
+        "leaves out motions outside the frame, not 0",
+        put("motion_chain.GATHERS", {"longest": _longest_inside}),
+    ),
     _chain("rows_of_height", "H for W: a row of H pixels", change_arguments("motion_chain.read_motion", motion=_rows_of_height)),
     _chain("last_column_outside", "column W - 1 is outside", put("motion_chain.read_motion", _without_last_column)),
     _chain("nearest", "the nearest pixel's motion", put("motion_chain.GATHERS", {"longest": gather_nearest})),

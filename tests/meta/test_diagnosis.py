@@ -42,6 +42,16 @@ def test_a_planted_mistake_is_named(name):
     assert mistake.what in explain(mistake.port(), mistake.stage)
 
 
+def test_mistakes_that_look_alike_in_the_smallest_case_are_told_apart():
+    """In a frame of one pixel a motion outside may count for nothing as if a still one did not win."""
+    mistake, body = find("motion_chain_outside_left_out"), find_property("motion_chain.agrees_with_the_reference")
+    judge, motions = Judge(mistake.port()), np.zeros((2, 1, 1, 2), np.float32)
+    motions[1, ..., 0] = 1
+    with pytest.raises(DepartureError) as error:
+        judge.check(body, {"motions": motions})
+    assert diagnose(judge, [error.value.finding]) == f"looks like: {mistake.what}"
+
+
 @pytest.mark.thorough
 def test_what_contains_a_stage_names_its_mistakes():
     mistake = find("history_newest_first")
