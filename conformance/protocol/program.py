@@ -83,9 +83,12 @@ class Program:
             # Of many starts that fail while a case is made smaller, only the last job is kept.
             if self.kept is not None:
                 shutil.rmtree(self.kept, ignore_errors=True)
-            self.kept = job
             at = len(results) if ran else _first_unanswered(job, len(cases))
-            raise PortError(f"{self.name}: {error}; its job is kept: {job}{self._last_words()}", at) from error
+            self.kept = (
+                Path(shutil.move(job, tempfile.gettempdir())) if job.parent == MEMORY else job
+            )  # memory is not for what stays
+            words = str(error).replace(str(job), str(self.kept))
+            raise PortError(f"{self.name}: {words}; its job is kept: {self.kept}{self._last_words()}", at) from error
         except BaseException:
             shutil.rmtree(job, ignore_errors=True)
             raise

@@ -2,6 +2,8 @@
 
 import subprocess
 import sys
+import tempfile
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -110,7 +112,8 @@ def test_what_goes_wrong_is_told_and_the_next_job_has_a_new_process(program, tmp
     port.run_many([case()])
     with pytest.raises(PortError, match=words) as error:
         port.run_many([case()])
-    assert "its job is kept" in str(error.value)
+    assert f"its job is kept: {port.kept}" in str(error.value)
+    assert port.kept.parent == Path(tempfile.gettempdir())  # not in memory, where it would stay
     assert "job 1" in (port.kept / "stderr.txt").read_text()[:99]
     port.run_many([case(2)])
     again = 1 if "missing" in words else 2
