@@ -29,7 +29,7 @@ def test_agrees_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]) -
 
 @cases(CASES, slow=True)
 def test_each_output_channel_has_its_place(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
-    """With a black colour and all weights 0, bias 4c + 2i + j is channel c of the pixels (2y + i, 2x + j), bit for bit."""
+    """If the colour is black and all weights are 0, bias 4c + 2i + j is channel c of the pixels (2y + i, 2x + j), bit for bit."""
     inputs, weights = case
     still = weights.convert(lambda tensor: tensor * 0) | {"outc.bias": weights["outc.bias"]}
     got = (yield ask("decoder", {**inputs, "color": inputs["color"] * 0}, still))["image"]

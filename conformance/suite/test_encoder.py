@@ -32,7 +32,7 @@ def test_agrees_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]) -
 
 @cases(CASES, slow=True)
 def test_what_is_masked_is_read_once(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
-    """Where the mask is 0 everywhere, the weights of ``color * mask`` do not matter."""
+    """If the mask is 0 everywhere, the weights of ``color * mask`` do not change the features."""
     inputs, weights = case
     closed = {**inputs, "mask": inputs["mask"] * 0}
     other = weights | {name: weights[name].copy() for name in ("conv1.conv_feature.weight", "conv1.conv_mask.0.weight")}

@@ -30,7 +30,7 @@ def test_agrees_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]) -
 
 @cases(CASES, slow=True)
 def test_nothing_to_be_trusted_gives_nothing(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
-    """Where the whole window is masked, the result is 0, and not 0 / 0."""
+    """If the whole window is masked, the result is 0, and not 0 / 0."""
     inputs, weights = case
     got = (yield ask("erm", {**inputs, "mask": inputs["mask"] * 0}, weights))["reshaded"]
     judge.same("erm.reshaded", got, np.zeros_like(got))
@@ -38,9 +38,10 @@ def test_nothing_to_be_trusted_gives_nothing(judge: Judge, case: tuple[Inputs, W
 
 @cases(CASES, slow=True)
 def test_a_masked_value_influences_nobody(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
-    """Light where the mask is 0 changes no result, not even at its own place: layers of one tap keep it from spreading by itself.
+    """Light where the mask is 0 changes no result, not even at its own place.
 
-    The material is left as it is, since the query at its place does read it.
+    All layers of light and keys have one tap here, since wider ones would carry the light to other places. The material stays, since the
+    query at its place does read it.
     """
     inputs, weights = case
     wide = {n: t for n, t in weights.items() if n.startswith(("latentEncoder", "KEncoder")) and t.ndim == 4}
@@ -72,7 +73,7 @@ def test_equal_light_stays_equal(judge: Judge, case: tuple[Inputs, Weights]) -> 
 
 @cases(st.tuples(CASES, SEEDS), slow=True)
 def test_opposite_materials_share_no_light(judge: Judge, case: tuple[tuple[Inputs, Weights], int]) -> Talk:
-    """If a key is the sign of the first normal component, each place averages the light of its own sign: negative weights count as 0."""
+    """If keys are the sign of the first normal component, each place averages only the light of its sign: negative weights count as 0."""
     (inputs, weights), seed = case
     height, width, _ = inputs["x4"].shape
     signs = np.random.default_rng(seed).choice([-1.0, 1.0], (height, width))

@@ -26,7 +26,7 @@ STANDS = frame_inputs().map(lambda inputs: {**inputs, "motions": inputs["motions
 
 @cases(CASES, slow=True)
 def test_agrees_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
-    """The image of SF and EF, also with missing frames, is the float64 reference's; cases are counted where rounding decides a hole."""
+    """The images of SF and EF, also with missing frames, are the float64 reference's; cases of undecided holes are counted."""
     yield from judge.agrees("frame", *case)
 
 
@@ -35,13 +35,13 @@ STARTS = st.sampled_from([(0, 0, 0), (1, 1, 1), (0, 2, 2), (1, 3, 3)])
 
 @cases(st.tuples(STARTS.flatmap(lambda steps: frame_inputs(steps=steps)), frame_weights()), slow=True)
 def test_agrees_at_the_start_of_a_sequence(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
-    """Frames agree, too, where older frames are missing: the oldest existing frame stands in, with all of it masked."""
+    """Images agree, too, if older frames are missing: the oldest existing frame replaces them, fully masked."""
     yield from judge.agrees("frame", *case)
 
 
 @cases(st.tuples(scene_inputs(), frame_weights()), slow=True)
 def test_agrees_on_rendered_scenes(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
-    """Frames agree, too, on scenes whose motion, geometry and holes come from a renderer."""
+    """Images agree, too, on scenes whose motion, geometry and holes come from a renderer."""
     yield from judge.agrees("frame", *case)
 
 
@@ -61,7 +61,7 @@ def test_without_a_residual_a_still_frame_is_upsampled(judge: Judge, case: tuple
 
 @cases(st.tuples(frame_inputs(steps=(0, 2, 4)), frame_weights()), slow=True)
 def test_a_rendered_frame_looks_for_no_other(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
-    """With weights of 0 a rendered frame depends on its own colour alone."""
+    """With weights of 0 a rendered frame depends only on its own colour."""
     inputs, weights = case
     still = weights.convert(lambda tensor: tensor * 0)
     other = {**inputs, "colors": inputs["colors"].copy(), "motions": -inputs["motions"], "positions": inputs["positions"] * 2}
@@ -75,7 +75,7 @@ test_the_same_twice = same_twice("frame", cases(CASES, slow=True))
 
 @made_cases(frame_cases())
 def test_every_buffer_of_every_frame_counts(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
-    """Frames agree, too, where each stencil, normal, position and motion decides about pixels of its own, at any steps."""
+    """Images agree, too, on frames in which each stencil, normal, position and motion decides other pixels, at any steps."""
     yield from judge.agrees("frame", *case)
 
 

@@ -29,13 +29,13 @@ def test_agrees_with_the_reference(judge: Judge, inputs: Inputs) -> Talk:
 
 @cases(thresholds())
 def test_agrees_near_the_thresholds(judge: Judge, inputs: Inputs) -> Talk:
-    """Masks agree, too, where one comparison decides: the distance or angle of a surface near its limit, or another object's edge."""
+    """Masks agree, too, if one comparison decides: a surface's distance or angle near its limit, or the edge of another object."""
     yield from judge.agrees("holes", inputs)
 
 
 @cases(sizes(12).flatmap(lambda size: st.tuples(st.just(size), SEEDS, st.sampled_from([np.nan, np.inf]))))
 def test_a_lost_position_is_a_hole(judge: Judge, case: tuple[Size, int, float]) -> Talk:
-    """If nothing moves, a pixel is a hole where any of the four positions that it reads, its own, right and below, is not finite."""
+    """If nothing moves, a pixel is a hole if one of the four positions that it reads is not finite: its own, or right, below, or both."""
     size, seed, value = case
     rng = np.random.default_rng(seed)
     position = rng.integers(-8, 8, (*size, 3)) / 8
@@ -56,7 +56,7 @@ WORLDS = st.sampled_from([(-512.0, 1.0), (0.25, 1.0), (64.0, 1.0), (0.0, -8.0), 
 
 @cases(st.tuples(sizes(12), SEEDS, WORLDS, st.permutations(range(3))))
 def test_the_world_has_no_origin_axis_or_unit(judge: Judge, case: tuple[Size, int, tuple[float, float], list[int]]) -> Talk:
-    """Moving the whole world or permuting its axes changes no hole; nor, by the footprint, do other units, or a mirror. All is exact."""
+    """No shift of the whole world and no order of its axes changes a hole; by the footprint no unit or mirror either. All is exact."""
     size, seed, (shift, times), order = case
     inputs = _quarters(size, seed)
     inputs["paper"] *= times == 1
@@ -68,7 +68,7 @@ def test_the_world_has_no_origin_axis_or_unit(judge: Judge, case: tuple[Size, in
 
 @cases(sizes(12).flatmap(lambda size: st.tuples(st.just(size), SEEDS)))
 def test_a_plane_that_slides_past_has_no_holes(judge: Judge, case: tuple[Size, int]) -> Talk:
-    """By the footprint a plane is trusted wherever its motion leads into the frame, however far apart its pixels lie."""
+    """In the footprint's test a plane has no hole where its motion leads into the frame, at any distance between its pixels."""
     size, seed = case
     rng = np.random.default_rng(seed)
     inputs = {name: np.zeros_like(array) for name, array in _quarters(size, seed).items()}
@@ -84,7 +84,7 @@ def test_a_plane_that_slides_past_has_no_holes(judge: Judge, case: tuple[Size, i
 
 @cases(sizes(12).flatmap(lambda size: st.tuples(st.just(size), SEEDS)))
 def test_a_background_is_no_surface(judge: Judge, case: tuple[Size, int]) -> Talk:
-    """By the footprint, where nothing moves, a surface that was background is a hole, and a background that was a surface."""
+    """In the footprint's test, if nothing moves, a surface that was background is a hole, and so is a background that was a surface."""
     size, seed = case
     rng = np.random.default_rng(seed)
     inputs = {name: np.zeros_like(array) for name, array in _quarters(size, seed).items()}

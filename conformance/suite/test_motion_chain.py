@@ -26,7 +26,7 @@ def test_agrees_with_the_reference(judge: Judge, inputs: Inputs) -> Talk:
 
 @cases(st.tuples(sizes(20), st.integers(2, 5), st.integers(-3, 3), st.integers(-3, 3)))
 def test_one_speed_adds_up(judge: Judge, case: tuple[tuple[int, int], int, int, int]) -> Talk:
-    """If all pixels move alike, the motion over k frames is k times as long, as long as the way stays in the frame."""
+    """If all pixels move alike, the motion over k frames is k times that of one, while the path stays in the frame."""
     (height, width), count, dx, dy = case
     motion = np.broadcast_to(np.array([dx, dy], np.float64), (count, height, width, 2))
     got = (yield ask("motion_chain", {"motions": motion}))["motion"]

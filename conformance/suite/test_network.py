@@ -24,7 +24,7 @@ def test_agrees_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]) -
 
 @cases(CASES, slow=True)
 def test_padding_repeats_the_last_row_and_column(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
-    """A frame that is padded beforehand gives the same image after cropping."""
+    """If a frame is padded before the network and its image is cropped, the image is the same."""
     inputs, weights = case
     height, width = inputs["mask"].shape
     rows, columns = (np.minimum(np.arange(-(-n // 8) * 8), n - 1) for n in (height, width))

@@ -26,7 +26,7 @@ def test_agrees_with_the_reference(judge: Judge, inputs: Inputs) -> Talk:
 
 @cases(st.sampled_from(["still", "whole", "half", "short"]).flatmap(lambda kind: occlusion_inputs(motion=kind)))
 def test_as_one_pixel_after_the_other(judge: Judge, inputs: Inputs) -> Talk:
-    """The splat gives the same map as a loop over the pixels in raster order, also where depths tie."""
+    """The splat gives the map of a loop over the pixels in raster order, also where depths are equal."""
     got = (yield ask("occlusion_warp", inputs))["occlusion_motion"]
     judge.same(
         "occlusion_warp.occlusion_motion",
@@ -37,7 +37,7 @@ def test_as_one_pixel_after_the_other(judge: Judge, inputs: Inputs) -> Talk:
 
 @cases(occlusion_inputs(motion="half"))
 def test_only_the_order_of_depths_counts(judge: Judge, inputs: Inputs) -> Talk:
-    """Halving all depths that splat, which is exact, changes no motion: only their order counts."""
+    """Half of all depths, which is exact, gives the same motion: only the order of depths counts."""
     near = {**inputs, "depth": np.minimum(judge.exactly(inputs, "occlusion_warp")["depth"], 1)}
     halved = {**near, "depth": near["depth"] / 2}
     first, second = yield [ask("occlusion_warp", i) for i in (near, halved)]

@@ -34,7 +34,7 @@ def test_what_is_no_hole_stays(judge: Judge, inputs: Inputs) -> Talk:
 
 @cases(reshade_inputs(), slow=True)
 def test_what_was_read_in_holes_is_the_last_resort(judge: Judge, inputs: Inputs) -> Talk:
-    """With other warped colours in holes only those holes are others that have nothing else to take, and show theirs, bit for bit."""
+    """Warped colours in holes change only holes without any other source, which show these colours, bit for bit."""
     exact = judge.exactly(inputs, "reshade")
     hole = exact["valid"][..., None] == 0
     first, second = yield [ask("reshade", exact | {"warped": np.where(hole, x, exact["warped"])}) for x in (0.25, 0.75)]

@@ -9,7 +9,7 @@ from conformance.suite.properties import agrees_in_large_frames, cases, keeps_no
 
 @cases(rrm_inputs())
 def test_agrees_with_the_reference(judge: Judge, inputs: Inputs) -> Talk:
-    """The rectangle, and nothing else, is masked."""
+    """Only the rectangle is masked."""
     yield from judge.agrees("rrm", inputs)
 
 

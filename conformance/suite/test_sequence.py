@@ -45,7 +45,7 @@ def sequences(draw: st.DrawFn) -> list[tuple[str, Inputs, Weights]]:
 
 @cases(sequences(), slow=True)
 def test_every_frame_is_as_if_it_were_the_only_one(judge: Judge, calls: list[tuple[str, Inputs, Weights]]) -> Talk:
-    """The frames in the reverse order have the same bits, and the last one agrees with the reference, which keeps nothing."""
+    """The frames in reverse order have the same bits, and the last one agrees with the reference, which keeps no state."""
     forth = yield [ask("frame", frame, weights) for _, frame, weights in calls]
     back = yield [ask("frame", frame, weights) for _, frame, weights in reversed(calls)]
     for first, second in zip(forth, reversed(back), strict=True):

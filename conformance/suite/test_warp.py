@@ -27,7 +27,7 @@ def test_agrees_with_the_reference(judge: Judge, inputs: Inputs) -> Talk:
 
 @cases(wide_warp_inputs())
 def test_wide_frames_lose_nothing(judge: Judge, inputs: Inputs) -> Talk:
-    """Thousands of pixels from the corner, a fraction has all the bits of its motion, since it is not taken from a rounded sum."""
+    """Thousands of pixels from the corner the fraction has all bits of the motion, since it does not come from a rounded sum."""
     yield from judge.agrees("warp", inputs)
 
 
@@ -69,7 +69,7 @@ def test_channels_do_not_mix(judge: Judge, case: tuple[Inputs, list[int]]) -> Ta
 
 @cases(sizes(20).flatmap(lambda size: st.tuples(colors(size, 2), dyadic_motions(size, "short"), st.integers(0), st.integers(0))))
 def test_a_part_is_as_the_whole(judge: Judge, case: tuple[Float64, Float64, int, int]) -> Talk:
-    """Warping a crop gives the crop of the warped frame, where all pixels that are read lie in the crop: no result depends on its place."""
+    """A warped crop is the crop of the warped frame, if all pixels that it reads lie in the crop: no result depends on its place."""
     color, motion, top, left = case
     height, width, _ = color.shape
     top, left = top % height, left % width
