@@ -13,7 +13,7 @@ from stss.cluster.chunk import Chunk, Engine, Introduction, Work, compute_chunk,
 from stss.cluster.workers import Workers, connect
 from stss.frames.backends import NETWORK
 from stss.run.frame_job import FrameReport, already_written, describe, keys_of
-from stss.run.job import REFUSAL, RunPlan, Summary, plan, require_unread
+from stss.run.job import REFUSAL, RunPlan, Summary, plan
 from stss.run.options import RunOptions
 from stss.sequence.reader import Sequence as Frames
 from stss_ground.errors import InputError
@@ -55,8 +55,7 @@ def run_on_cluster(
     Raises:
         InputError: as there; nothing answers at the address, workers differ, or workers die or hang again and again.
     """
-    planned = plan(sequence, out, options)
-    require_unread(planned, sequence, reads)
+    planned = plan(sequence, out, options, reads)
     work = Work(VERSION, sequence, planned.rendered, out, options, engine)
     with (
         connect(address) as workers,

@@ -82,12 +82,11 @@ def run(
             written to, ``out`` is the sequence's folder, another process writes there, it holds frames of others, or those of an
             earlier run and neither ``resume`` nor ``overwrite`` is set.
     """
-    planned = plan(sequence, out, options, accumulates=backend.accumulates)
+    planned = plan(sequence, out, options, reads, accumulates=backend.accumulates)
     if backend.accumulates and options.resume:
         raise InputError(f"--resume: {backend.method} makes each output from all before it; run again with --overwrite")
     folder = planned.folder
     job = FrameJob.of(sequence, planned.rendered, options, backend, weights, folder, partial(already_written, folder, options))
-    require_unread(planned, sequence, reads)
     summary = Summary([])
 
     with folder.open(refusal=None if options.resume or options.overwrite else REFUSAL):
@@ -102,15 +101,16 @@ def run(
     return summary
 
 
-def plan(sequence: Sequence, out: Path, options: RunOptions, *, accumulates: bool = False) -> RunPlan:
+def plan(sequence: Sequence, out: Path, options: RunOptions, reads: Iterable[Path] = (), *, accumulates: bool = False) -> RunPlan:
     """Plan a run; nothing is read or written.
 
     Args:
-        sequence, out, options: as for `run`.
+        sequence, out, options, reads: as for `run`.
         accumulates: whether an output depends on all earlier ones, so that all of them must be computed.
 
     Raises:
-        InputError: the options do not fit each other or the sequence.
+        InputError: the options do not fit each other or the sequence, or the run would write to a file that it reads, or among the frames
+            that it reads.
     """
     if options.resume and options.overwrite:
         raise InputError("--resume, --overwrite: expected one of them: keep what an earlier run finished, or replace it")
@@ -120,12 +120,9 @@ def plan(sequence: Sequence, out: Path, options: RunOptions, *, accumulates: boo
     require_near(sequence, sequence.numbers[0] if accumulates else numbers[0], numbers[-1])
     if not options.keep_going:  # now, not after hours of other frames
         sequence.require(numbers)
-    return RunPlan(rendered, numbers, folder_of(out))
-
-
-def require_unread(planned: RunPlan, sequence: Sequence, reads: Iterable[Path]) -> None:
-    """Raise InputError where the run would write to a file that it reads, or among the frames that it reads."""
-    require_places(reads=[*sequence.tables, *reads], folders=[planned.folder], inputs=sequence.images)
+    folder = folder_of(out)
+    require_places(reads=[*sequence.tables, *reads], folders=[folder], inputs=sequence.images)
+    return RunPlan(rendered, numbers, folder)
 
 
 def folder_of(out: Path) -> OutputFolder:

@@ -245,3 +245,4 @@ def test_a_mistake_is_said_before_a_device_is_opened(frames, tmp_path, monkeypat
     monkeypatch.setattr("stss.cli.run.open_backend", lambda *_, **__: pytest.fail("opened"))
     for option in (["--frames", "1:99999"], ["--cuts", "77"], ["--resume", "--overwrite"]):
         refused(stss("run", frames, "-o", tmp_path / "out", "--weights", "bilinear", *option), option[0])
+    refused(stss("run", frames, "-o", frames, "--weights", "bilinear"), "the folder of the frames that are read")
