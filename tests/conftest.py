@@ -19,6 +19,8 @@ settings.load_profile("ci" if os.environ.get("CI") else "dev")
 
 
 TESTS = Path(__file__).parent
+COMPILE = {"test_memory.py", "test_numbers.py"}
+"""Files elsewhere whose tests compile kernels without the fixture ``device``."""
 GPU_TESTS = {"gpu", "device-gpu"}
 """Fixtures of tests that compile the kernels of GPUs, and the parameter of tests/cl/conftest.py."""
 
@@ -31,7 +33,9 @@ def pytest_collection_modifyitems(items):
     """
     kinds = {"cpu": [], "gpu": [], "": []}
     for item in items:
-        compiles = item.path.relative_to(TESTS).parts[0] in ("cl", "app") or "device" in item.fixturenames
+        compiles = (
+            item.path.relative_to(TESTS).parts[0] in ("cl", "app") or item.path.name in COMPILE or "device" in item.fixturenames
+        )
         params = getattr(getattr(item, "callspec", None), "params", {})
         gpu = item.path.name == "test_conv_gpu.py" or GPU_TESTS & {*item.fixturenames, f"device-{params.get('device')}"}
         kinds["" if not compiles else "gpu" if gpu else "cpu"].append(item)
