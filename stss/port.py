@@ -7,6 +7,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from conformance.protocol.load_port import import_port
 from conformance.protocol.port import Arrays, Outputs
 from conformance.reference_port import ReferencePort, answer_job, serve
 from stss_ground.errors import InputError
@@ -94,15 +95,22 @@ PORTS = {"ref": ReferencePort, "cl": OpenCLPort}
 """The backends by the names that ``run_job`` takes; each class is also a factory for ``module:factory``."""
 
 
-def run_job(job: Path | None, backend: str, *, dump: bool = False) -> None:
+def run_job(job: Path | None, backend: str, spec: str | None = None, *, dump: bool = False) -> None:
     """Compute every case of a job folder, or serve (None): `answer_job` or `serve` with a backend of ``PORTS``.
 
+    Args:
+        job: the folder.
+        backend: a name of ``PORTS``.
+        spec: a Python port in place of the backend, see `conformance.protocol.load_port.import_port`.
+        dump: see `answer_job`.
+
     Raises:
-        InputError: as `answer_job`; or there is no such backend or device.
+        InputError: as `answer_job`; or there is no such backend, port or device.
     """
     if backend not in PORTS:
         raise InputError(f"backend: expected one of {', '.join(PORTS)}, got {backend!r}")
+    port = PORTS[backend]() if spec is None else import_port(spec)
     if job is None:
-        serve(PORTS[backend](), dump=dump)
+        serve(port, dump=dump)
     else:
-        answer_job(job, PORTS[backend](), dump=dump)
+        answer_job(job, port, dump=dump)

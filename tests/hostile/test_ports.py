@@ -502,15 +502,21 @@ def test_a_replay_is_judged_or_says_so(tmp_path):
             replay(wrong, folder)
 
 
-def test_native_code_that_ends_the_judge_names_its_line(tmp_path, monkeypatch):
-    """A Python port runs in the judge's process."""
+def test_native_code_that_ends_the_judge_names_its_line_and_as_a_program_its_case(tmp_path):
+    """A Python port runs in the judge's process, unless `stss port` has it."""
     lines = [
         "import os",
         "from stss.port import ReferencePort",
         "class Port(ReferencePort):",
-        "    def run(self, *case): os.abort()",
+        "    def run(self, stage, inputs, weights=None):",
+        "        return os.abort() if inputs['color'].shape[1] % 2 else super().run(stage, inputs, weights)",
     ]
     (tmp_path / "native.py").write_text("\n".join(lines))
     done = stss("conform", "--port", "native:Port", "--stages", "warp", cwd=tmp_path, env={"PYTHONPATH": str(tmp_path)})
     assert done.returncode < 0
     assert f'native.py", line {len(lines)} in run' in done.stderr
+    program = f"{sys.executable} -m stss port --port native:Port"
+    done = stss("conform", "--exec", program, "--stages", "warp", "--fail-fast", cwd=tmp_path, env={"PYTHONPATH": str(tmp_path)})
+    assert done.returncode == 1
+    assert "ended by SIGABRT" in done.stdout + done.stderr
+    assert (tmp_path / "conform-failures").is_dir()
