@@ -1,8 +1,6 @@
 """Every test of the backend runs on its device twice: treated as a processor, and as a GPU."""
 
-import re
 from functools import cache
-from pathlib import Path
 
 import pyopencl as cl
 import pytest
@@ -19,17 +17,6 @@ OFTEN = [thorough(precision) if precision in ("half", "float32-direct") else pre
 UNITS = 1024
 """Compute units of a processor that is treated as a GPU: more than a test's frame has tiles, as on a GPU. Layers with few tiles for
 the units have smaller ones; so frames of all sizes have the same kernels, and each is compiled once."""
-
-WHOLE = re.compile(r"test_(device_frames|frame|frames_timed|half_planes|layers|network|overlap|stream|strips)\.py")
-"""Files with tests of whole networks."""
-
-
-def pytest_collection_modifyitems(items):
-    """Whole networks with the kernels of GPUs are thorough: a processor compiles these for half a minute. Their parts have other tests."""
-    for item in items:
-        params = getattr(getattr(item, "callspec", None), "params", {})
-        if item.path.parent == Path(__file__).parent and WHOLE.fullmatch(item.path.name) and params.get("device") == "gpu":
-            item.add_marker(pytest.mark.thorough)
 
 
 class LikeGpu(discovery.Device):
