@@ -19,6 +19,7 @@ import stss
 from stss.images.color import transfer
 from stss.sequence.find_files import find_frames
 from stss.sequence.profiles import profile_names
+from stss.sequence.reader import settle_profile
 from stss.weights.file import SHIPPED
 from stss_ground.errors import InputError
 
@@ -55,8 +56,8 @@ class LoadFrames:
     @classmethod
     def IS_CHANGED(cls, folder: str, profile: str, first: int, count: int) -> str:  # noqa: N802
         """Another value once a file is another one: the frames are then read again."""
-        table = stss.load_profile("stss" if profile == "auto" else profile)
-        frames = find_frames(Path(folder), set(table.files.values()) | {""})
+        table = settle_profile(Path(folder), None if profile == "auto" else profile)
+        frames = find_frames(Path(folder), table.endings)
         return repr([(n, path.stat().st_mtime_ns) for n in sorted(frames) for path in frames[n].values()])
 
     def load(self, folder: str, profile: str, first: int, count: int) -> tuple[Any, GBuffer]:

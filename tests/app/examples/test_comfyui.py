@@ -1,6 +1,8 @@
 """The nodes for ComfyUI, called as it calls them: by class, with keywords, tensors in and tensors out."""
 
 import importlib.util
+import os
+import shutil
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -102,3 +104,19 @@ def test_progress_and_files_that_changed(nodes, demo, monkeypatch):
     assert steps == [1, 1]
     changed = nodes.NODE_CLASS_MAPPINGS["StssLoadFrames"].IS_CHANGED
     assert changed(**options) == changed(**options) != ""
+
+
+def test_a_frame_of_several_files_changed(nodes, demo, tmp_path):
+    """Files named as the compositor of Blender names them: one for each buffer."""
+    files = sorted((demo / "frames").iterdir())[:4]
+    for file in files:
+        number = file.stem.rsplit(".", 1)[1]
+        for ending in ("Image", "Depth"):
+            shutil.copyfile(file, tmp_path / f"{ending}{number}.exr")
+    changed = nodes.NODE_CLASS_MAPPINGS["StssLoadFrames"].IS_CHANGED
+    options = {"folder": str(tmp_path), "profile": "blender-files", "first": 0, "count": 2}
+    before = changed(**options)
+    assert before == changed(**options)
+    path = max(tmp_path.iterdir())
+    os.utime(path, ns=(1, 1))
+    assert changed(**options) != before
