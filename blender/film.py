@@ -175,10 +175,10 @@ def cuts_of(words: Sequence[str]) -> tuple[list[int], list[str]]:
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
     parser.add_argument("--cuts", type=lambda text: [int(one) for one in text.split(",")], default=[])
     try:
-        known, others = parser.parse_known_args(words)
+        options, others = parser.parse_known_args(words)
     except argparse.ArgumentError as error:
         raise FilmError("Options: --cuts: expected numbers of frames, such as 120,301") from error
-    return known.cuts, others
+    return options.cuts, others
 
 
 def _small(scene: Any, layer: Any) -> list[tuple[Any, str, Any]]:

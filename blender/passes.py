@@ -95,8 +95,8 @@ def survey(scene: Any, layer: Any, frames: Iterable[int]) -> list[tuple[int, Any
     for thing in scene.objects:
         if thing.type in GEOMETRY and thing not in drawn and not thing.hide_render and _has_keys(thing):
             moving[thing] = None
-    used = {thing.pass_index for thing in bpy.data.objects}
-    free = (number for number in range(1, 32768) if number not in used)
+    numbers = {thing.pass_index for thing in bpy.data.objects}
+    free = (number for number in range(1, 32768) if number not in numbers)
     for thing in sorted(moving, key=lambda one: one.name):
         if thing.pass_index == 0:
             thing.pass_index = next(free, 32767)

@@ -279,10 +279,10 @@ def _require_options(when: str, names: tuple[str, ...]) -> None:
             raise InputError(f"{option}: not {when}")
 
 
-def _require_stages(named: dict[str, tuple[str, ...] | None]) -> None:
+def _require_stages(stages_of: dict[str, tuple[str, ...] | None]) -> None:
     from conformance.suite.run_suite import SUITE
 
-    for option, names in named.items():
+    for option, names in stages_of.items():
         if unknown := set(names or ()) - set(SUITE):
             raise InputError(f"{option}: expected some of {', '.join(SUITE)}, got {', '.join(sorted(unknown))}")
 

@@ -125,16 +125,18 @@ def demo(
             options = RunOptions(overwrite=overwrite)
             run(sequence, out / name, engine, method.label, options, lambda _: advance(), [Path(weights)])
         console.print(f"{method.source} against the truth:", highlight=False, markup=False)
-        compared = compare(out / name, out / "truth")
-        print_comparison(compared, console)
-        return compared
+        comparison = compare(out / name, out / "truth")
+        print_comparison(comparison, console)
+        return comparison
 
     comparisons: dict[str, Comparison] = {}
     if weights != BILINEAR:  # without a network the reference is fast enough, and needs no compilation
         bilinear = load(BILINEAR)
         comparisons["bilinear"] = score("bilinear", bilinear, open_backend("ref", bilinear.weights))
     comparisons["output"] = score("output", loaded, open_backend(backend, loaded.weights, compute, tell=tell))
-    versions = [Version(n, _MEANINGS[n], find_pairs(out / n, out / "truth")[0], compared) for n, compared in comparisons.items()]
+    versions = [
+        Version(n, _MEANINGS[n], find_pairs(out / n, out / "truth")[0], comparison) for n, comparison in comparisons.items()
+    ]
     folder = _folder(out)
     with folder.open(refusal=None):
         write_comparison(

@@ -92,13 +92,13 @@ def _cut(weights: Tensors, needs: Mapping[str, Mask], reads: Mapping[str, Collec
     tensors: dict[str, Array] = {}
     for layer in (each for each in LAYERS if needs[each.name].any()):
         units, live = masks[layer.name], reads[layer.name]
-        columns = np.concatenate([np.tile(masks[read] & (read in live), times) for read, _, times in _parts(layer)])
-        varies[layer.name] = any(varies[read] for read in live)
+        columns = np.concatenate([np.tile(masks[source] & (source in live), times) for source, _, times in _parts(layer)])
+        varies[layer.name] = any(varies[source] for source in live)
         for name, shape in layer.tensors():
             rows = weights[name][units] if shape[0] == layer.outputs else weights[name]
             tensors[name] = rows if len(shape) == 1 else rows[:, columns]
-        read = tuple(name for name in layer.reads if name in live)
-        layers[layer.name] = replace(layer, reads=read, inputs=int(columns.sum()), outputs=int(units.sum()))
+        inputs = tuple(name for name in layer.reads if name in live)
+        layers[layer.name] = replace(layer, reads=inputs, inputs=int(columns.sum()), outputs=int(units.sum()))
     return Live(layers, {name for name in layers if not varies[name]}, tensors)
 
 
@@ -110,11 +110,11 @@ def _in_groups(units: Mask) -> Mask:
 def _parts(layer: Layer) -> Iterator[tuple[str, int, int]]:
     """For each input of a layer: its name, its first channel, and the number of its images that lie side by side."""
     first = 0
-    for read in layer.reads:
-        source = BY_NAME.get(read)
+    for name in layer.reads:
+        source = BY_NAME.get(name)
         times = 1 if source is None else source.repeats // layer.repeats
-        yield read, first, times
-        first += times * (SOURCES[read] if source is None else source.outputs)
+        yield name, first, times
+        first += times * (SOURCES[name] if source is None else source.outputs)
 
 
 def colors_read(weights: Weights, live: Live) -> int:

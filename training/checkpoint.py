@@ -87,8 +87,8 @@ def read(path: Path, state: State, device: torch.device) -> None:
 
 
 def _optimised(state: State) -> Iterator[tuple[str, torch.optim.Optimizer, Tensor]]:
-    named = (*state.network.named_parameters(), *state.heads.named_parameters(prefix="heads"))
-    names = {parameter: name for name, parameter in named}
+    parameters = (*state.network.named_parameters(), *state.heads.named_parameters(prefix="heads"))
+    names = {parameter: name for name, parameter in parameters}
     for optimiser in state.optimisers:
         for group in optimiser.param_groups:
             yield from ((names[parameter], optimiser, parameter) for parameter in group["params"])

@@ -75,8 +75,8 @@ class Gated(nn.Module):
         gates = channels if self.training else 1
         weight = torch.cat([feature.weight, gate.weight.expand(gates, -1, -1, -1)])
         bias = torch.cat([_bias(feature), _bias(gate).expand(gates)])
-        y, opened = nn.functional.conv2d(x, weight, bias, self.stride, 1).split((channels, gates), 1)
-        return y * opened.sigmoid()
+        y, logits = nn.functional.conv2d(x, weight, bias, self.stride, 1).split((channels, gates), 1)
+        return y * logits.sigmoid()
 
 
 def _bias(convolution: nn.Conv2d) -> Tensor:

@@ -132,8 +132,8 @@ def film_frames(film: Film, size: tuple[int, int], count: int) -> Iterator[Buffe
     """The first ``count`` display frames of a film."""
     for number in range(count):
         planes = _planes(film, size, number)
-        missed = np.isinf(planes["depth"])[..., None]
-        planes["position"] = np.where(missed, np.float32(BACKGROUND_POSITION), planes["position"])
+        background = np.isinf(planes["depth"])[..., None]
+        planes["position"] = np.where(background, np.float32(BACKGROUND_POSITION), planes["position"])
         yield Buffers(number=number, **planes)
 
 

@@ -124,9 +124,9 @@ def start(settings: Settings, device: torch.device, initial: str | None = None) 
 
 def optimisers(network: nn.Module, heads: nn.Module) -> tuple[torch.optim.Optimizer, ...]:
     """Muon for kernels of 3 x 3; Adam for gates and biases, which are vectors, and for the last layer, which only reads features out."""
-    trained = {name: p for name, p in network.named_parameters() if p.requires_grad}
-    kernels = [p for name, p in trained.items() if p.ndim == 4 and not name.startswith("outc") and ".conv_mask." not in name]
-    others = [p for p in trained.values() if all(p is not kernel for kernel in kernels)] + list(heads.parameters())
+    parameters = {name: p for name, p in network.named_parameters() if p.requires_grad}
+    kernels = [p for name, p in parameters.items() if p.ndim == 4 and not name.startswith("outc") and ".conv_mask." not in name]
+    others = [p for p in parameters.values() if all(p is not kernel for kernel in kernels)] + list(heads.parameters())
     return Muon(kernels, 1.0), torch.optim.Adam(others, 1.0, betas=(0.9, 0.999), eps=1e-7, fused=True)
 
 
@@ -202,11 +202,11 @@ def train(out: Path, shards: list[Shard], state: State, settings: Settings, plan
         total += advance(state, tensors(batch, device), rate, now, compiled=settings.compiled)
         count += 1
         if state.step % plan.log == 0:
-            value, reached = float(total) / count, time.perf_counter()
-            log(step=state.step, loss=round(value, 6), rate=rate, ms=round((reached - since) / count * 1e3, 1))
+            value, clock = float(total) / count, time.perf_counter()
+            log(step=state.step, loss=round(value, 6), rate=rate, ms=round((clock - since) / count * 1e3, 1))
             if not math.isfinite(value):
                 raise InputError(f"step {state.step}: the loss is {value}; resume with a smaller --rate in another run")
-            total, count, since = torch.zeros((), device=device), 0, reached
+            total, count, since = torch.zeros((), device=device), 0, clock
         if state.step % plan.validate == 0 or state.step == plan.steps:
             means = validate(evaluating(state.average, state.network), shards, "validation", most=plan.most, device=device)
             log(step=state.step, validation=means)

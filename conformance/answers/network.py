@@ -100,12 +100,12 @@ def _spread(
     random = np.random.default_rng(1)
     runs = [compute(_off(part, errors[0], random), each) for each in changed]
     moving = [compute(_off(part, errors[1], random), exact) for _ in changed] if np.any(errors[1]) else []
-    opened = compute(part, open_)
+    sums = compute(part, open_)
     kind = ".stored" if arithmetic.dtype != "float32" else ".winograd" if arithmetic.winograd else ""
     expected: dict[str, Expected] = {}
     for name, want in truth.items():
         spread, slid = (_typical([run[name] - still[name] for run in some]) for some in (runs, moving))
-        ungated = BOUNDS["gate"].roundings * arithmetic.unit * np.abs(opened[name]).max(initial=0)
+        ungated = BOUNDS["gate"].roundings * arithmetic.unit * np.abs(sums[name]).max(initial=0)
         floor = ungated + BOUNDS["image"].roundings * (arithmetic.unit * np.abs(want).max(initial=0) + arithmetic.tiny)
         rms = BOUNDS[f"rms{kind}"].roundings * spread + slid + floor
         expected[name] = Expected(want, float(BOUNDS["spread"].roundings * (spread + slid) + floor), rms=float(rms))

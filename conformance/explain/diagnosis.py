@@ -62,23 +62,23 @@ def diagnose(judge: Judge, findings: Iterable[Finding]) -> str:
         port gave no answer, or its answer is right by itself and only two of its answers together are wrong.
     """
     different = {id(finding.case.inputs): finding for finding in findings}.values()
-    failed = [each for each in (_again(judge, finding) for finding in different) if each is not None]
-    if not failed:
+    failures = [each for each in (_again(judge, finding) for finding in different) if each is not None]
+    if not failures:
         return ""
-    others = [_answered(judge, case, got) for case, got in judge.answered if case.stage == failed[0].case.stage]
-    mistakes, end = suspects(failed[0].case.stage), process_time() + MOST_SECONDS
+    others = [_answered(judge, case, got) for case, got in judge.answered if case.stage == failures[0].case.stage]
+    mistakes, end = suspects(failures[0].case.stage), process_time() + MOST_SECONDS
     matches: list[tuple[float, Mistake]] = []
-    tried = 0
+    count = 0
     for mistake in mistakes:
         if process_time() > end or (mistake in RARE and any(each not in RARE for _, each in matches)):
             break
-        tried += 1
-        distances = [_distance(mistake, failed[0])]
+        count += 1
+        distances = [_distance(mistake, failures[0])]
         if distances[0] < np.inf:
-            distances += [_distance(mistake, each) for each in [*failed[1:], *others]]
+            distances += [_distance(mistake, each) for each in [*failures[1:], *others]]
         if max(distances) < np.inf:
             matches.append((distances[0], mistake))
-    return _describe(_tell_apart(judge, failed[0].case.stage, matches), tried)
+    return _describe(_tell_apart(judge, failures[0].case.stage, matches), count)
 
 
 def _tell_apart(judge: Judge, stage: str, matches: list[tuple[float, Mistake]]) -> list[tuple[float, Mistake]]:
@@ -87,8 +87,8 @@ def _tell_apart(judge: Judge, stage: str, matches: list[tuple[float, Mistake]]) 
     The smallest failures have a pixel or two, in which many mistakes look alike.
     """
     for make in engine_inputs(stage) if len(matches) > 1 and stage in ENGINE_STAGES else ():
-        made = make(np.random.default_rng(0))
-        case = judge.make_case(stage, *(made if STAGES[stage].weights else (made,)))
+        inputs = make(np.random.default_rng(0))
+        case = judge.make_case(stage, *(inputs if STAGES[stage].weights else (inputs,)))
         try:
             answer = _answered(judge, case, judge.run(case.stage, case.inputs, case.weights))
         except DepartureError:
@@ -162,11 +162,11 @@ def _distance(mistake: Mistake, answered: _Answered) -> float:
     return max(distances)
 
 
-def _describe(matches: list[tuple[float, Mistake]], tried: int) -> str:
-    if not tried:
+def _describe(matches: list[tuple[float, Mistake]], count: int) -> str:
+    if not count:
         return "no mistake of this stage is known to compare with"
     if not matches:
-        return f"looks like none of the {tried} mistakes that were compared"
+        return f"looks like none of the {count} mistakes that were compared"
     matches.sort(key=lambda each: each[0])
     near = [mistake for distance, mistake in matches if distance <= AS_NEAR * matches[0][0]]
     return "looks like: " + "; or ".join(mistake.what for mistake in near[:MOST_NAMED])

@@ -36,18 +36,18 @@ def explain(judge: Judge, body: Body) -> Failure:
             failed.append(f"explaining it failed: {type(error).__name__}: {error}")
             return instead
 
-    met, smallest = judge.record, judge.failure()
-    first = met.first or smallest
+    record, smallest = judge.record, judge.failure()
+    first = record.first or smallest
     judge.record = Record()
     failure = tried(lambda: confirm(judge, body, smallest, first), smallest)
-    words = [met.about]
+    words = [record.about]
     # An answer that a case alone does not repeat cannot be computed again.
     if not failure.before and UNSTABLE not in failure.finding.message:
         words += [
             tried(lambda: first_departure(judge, failure.finding), ""),
-            tried(lambda: diagnose(judge, [first.finding, failure.finding, *met.wrong]), ""),
+            tried(lambda: diagnose(judge, [first.finding, failure.finding, *record.wrong]), ""),
         ]
-    judge.record = met
+    judge.record = record
     terms = tried(lambda: terms_at_worst(failure.finding), ())
     message = "; ".join(filter(None, [failure.finding.message, *words, *failed]))
     return replace(failure, finding=replace(failure.finding, message=message, terms=terms))

@@ -59,9 +59,9 @@ def read_case(model: Model, files: Sequence[str]) -> dict[str, AnyArray]:
     Raises:
         InputError: a file is missing or damaged, or does not fit.
     """
-    named: dict[str, str] = {name: file for name, _, file in (each.partition("=") for each in files)}
+    paths: dict[str, str] = {name: file for name, _, file in (each.partition("=") for each in files)}
     try:
-        arrays = {name: read_array(Path(file)) for name, file in named.items()}
+        arrays = {name: read_array(Path(file)) for name, file in paths.items()}
     except JobError as error:
         raise InputError(f"--input: {error}") from error
     return _fitting(model, arrays, "--input")

@@ -189,27 +189,30 @@ def round_to(x: AnyArray, unit: float) -> AnyArray:
     return np.ldexp(np.round(mantissa / unit / 2) * unit * 2, exponent) if unit else x
 
 
-def explain_precision(judged: Judgement, rounding: Rounding) -> str:
+def explain_precision(judgement: Judgement, rounding: Rounding) -> str:
     """The precision that explains a wrong tensor: its numbers are right for a port that computes so; "" if none does.
 
     Only if the port returned all inputs of the node.
     """
-    node, operands = judged.node, judged.operands
+    node, operands = judgement.node, judgement.operands
 
     def fits(some: Sequence[AnyArray | None], wider: float, how: Rounding) -> bool:
         results = compute(node, some, how)
         assert results is not None
-        right = results[node.outputs.index(judged.tensor)]
-        return compare(judged.tensor, node, operands, judged.got, Result(right.x, right.e + wider * np.abs(right.x))).ratio <= 1
+        right = results[node.outputs.index(judgement.tensor)]
+        return (
+            compare(judgement.tensor, node, operands, judgement.got, Result(right.x, right.e + wider * np.abs(right.x))).ratio
+            <= 1
+        )
 
-    if not judged.is_own:
+    if not judgement.is_own:
         return ""
-    return next((words for words, fits in _explanations(judged, fits, rounding) if fits), "")
+    return next((words for words, fits in _explanations(judgement, fits, rounding) if fits), "")
 
 
-def _explanations(judged: Judgement, fits: Fits, rounding: Rounding) -> Iterator[tuple[str, bool]]:
+def _explanations(judgement: Judgement, fits: Fits, rounding: Rounding) -> Iterator[tuple[str, bool]]:
     """Precisions, the finest and most certain first, and whether each explains the tensor."""
-    node, operands = judged.node, judged.operands
+    node, operands = judgement.node, judgement.operands
     sums = node.op in SUMS
     for name, unit in COARSE.items():
         rounded = [*(v if v is None or v.dtype.kind != "f" else round_to(v, unit) for v in operands[:2]), *operands[2:]]
@@ -224,7 +227,7 @@ def _explanations(judged: Judgement, fits: Fits, rounding: Rounding) -> Iterator
             wide = Result(results[0].x, results[0].errors * 3 / results[0].terms)
             yield (
                 f"{name}: errors of the size of its roundings",
-                compare(judged.tensor, node, operands, judged.got, wide).ratio <= 1,
+                compare(judgement.tensor, node, operands, judgement.got, wide).ratio <= 1,
             )
     yield "sums in half", sums and fits(operands, 0.0, Rounding(replace(rounding.arithmetic, dtype="float16")))
 
@@ -233,34 +236,34 @@ FUSED = (1, 2, 4, 8)
 """Numbers of nodes before a tensor that an engine may have computed together with it."""
 
 
-def is_fused(model: Model, inputs: Arrays, got: Arrays, judged: Judgement, rounding: Rounding) -> bool:
+def is_fused(model: Model, inputs: Arrays, got: Arrays, judgement: Judgement, rounding: Rounding) -> bool:
     """Whether a tensor is right if a few tensors before it are the model's, not the returned ones.
 
     An engine that computes several nodes at once may return a tensor between them that it did not use.
     """
-    at = next(i for i, node in enumerate(model.nodes) if judged.tensor in node.outputs)
+    at = next(i for i, node in enumerate(model.nodes) if judgement.tensor in node.outputs)
     part = replace(model, nodes=model.nodes[: at + 1])
     makers = {name: node for node in part.nodes for name in node.outputs}
-    within, edge, depth = set[str](), {*judged.node.inputs}, 0
+    within, edge, depth = set[str](), {*judgement.node.inputs}, 0
     while edge and depth < FUSED[-1]:
         within |= edge
         edge = {name for each in edge if each in makers for name in makers[each].inputs} - within
         depth += 1
         if depth in FUSED:
             rest = {name: array for name, array in got.items() if name not in within}
-            again = [row for row in judge(part, inputs, rest, rounding) if row.tensor == judged.tensor]
+            again = [row for row in judge(part, inputs, rest, rounding) if row.tensor == judgement.tensor]
             if again and again[0].ratio <= 1:
                 return True
     return False
 
 
-def describe_terms(judged: Judgement, most: int = 3) -> str:
+def describe_terms(judgement: Judgement, most: int = 3) -> str:
     """The worst number with the terms that it was made of."""
-    at, node = judged.at, judged.node
-    x, w = (*judged.operands, None, None)[:2]
-    line = f"at {at}: got {judged.got[at]:.9g}, expected {judged.right.x[at]:.9g}, allowed {judged.right.errors[at]:.3g}"
+    at, node = judgement.at, judgement.node
+    x, w = (*judgement.operands, None, None)[:2]
+    line = f"at {at}: got {judgement.got[at]:.9g}, expected {judgement.right.x[at]:.9g}, allowed {judgement.right.errors[at]:.3g}"
     if x is None or w is None or node.op not in SUMS:
-        here = [f"{v[at]:.6g}" for v in judged.operands if v is not None and v.shape == judged.right.x.shape]
+        here = [f"{v[at]:.6g}" for v in judgement.operands if v is not None and v.shape == judgement.right.x.shape]
         return f"{line}; of {', '.join(here)}" if here else line
     terms = _terms(node, x, w, at)
     if terms is None:

@@ -79,10 +79,10 @@ def load_model(path: Path) -> Model:
     nodes: list[Node] = []
     unknown: list[str] = []
     for number, each in enumerate(graph.node):
-        named = f"{each.name or f'node {number}'} ({each.op_type})"
+        label = f"{each.name or f'node {number}'} ({each.op_type})"
         missing = next((name for name in each.input if name not in names), None)
         if each.domain not in ("", "ai.onnx") or each.op_type not in OPERATORS:
-            unknown.append(f"{named}: operator {each.domain + '.' if each.domain else ''}{each.op_type}")
+            unknown.append(f"{label}: operator {each.domain + '.' if each.domain else ''}{each.op_type}")
         elif missing is None:
             attributes = {a.name: _attribute(onnx, a) for a in each.attribute}
             nodes.append(Node(each.op_type, attributes, tuple(each.input), tuple(each.output), opset))

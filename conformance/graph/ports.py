@@ -100,8 +100,8 @@ class OpenVino:
         return _run_compiled(self._open, inputs)
 
 
-def _run_compiled(compiled: Any, inputs: Arrays) -> dict[str, AnyArray]:
-    return {name: np.array(array) for out, array in compiled(dict(inputs)).items() for name in out.get_names()}
+def _run_compiled(model: Any, inputs: Arrays) -> dict[str, AnyArray]:
+    return {name: np.array(array) for out, array in model(dict(inputs)).items() for name in out.get_names()}
 
 
 class PyTorch:

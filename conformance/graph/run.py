@@ -59,11 +59,11 @@ class Tensor:
     cases: int = 0
     fused: int = 0
 
-    def take(self, judged: Judgement, *, fused: bool = False) -> None:
+    def take(self, judgement: Judgement, *, fused: bool = False) -> None:
         """Take one case; ``fused``: its numbers are right if nodes before it were computed together with it."""
         if not fused:
-            self.ratio, self.rms = max(self.ratio, judged.ratio), max(self.rms, judged.rms)
-        self.is_own, self.cases, self.fused = self.is_own and judged.is_own, self.cases + 1, self.fused + fused
+            self.ratio, self.rms = max(self.ratio, judgement.ratio), max(self.rms, judgement.rms)
+        self.is_own, self.cases, self.fused = self.is_own and judgement.is_own, self.cases + 1, self.fused + fused
 
 
 @dataclass

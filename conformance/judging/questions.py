@@ -63,11 +63,11 @@ def _answer(port: Port, case: Case) -> Answer:
             outputs = cast("object", port.run(case.stage, inputs, weights))
         if not isinstance(outputs, Mapping):
             return PortError(f"expected a dictionary of arrays, found {type(outputs).__name__}")
-        named = cast("Mapping[object, object]", outputs)
-        for name, array in named.items():
+        by_name = cast("Mapping[object, object]", outputs)
+        for name, array in by_name.items():
             if not isinstance(array, np.ndarray):
                 return PortError(f"{name}: expected a NumPy array, found {type(array).__name__}")
-        return {name: array.copy() for name, array in cast("Outputs", named).items()}
+        return {name: array.copy() for name, array in cast("Outputs", by_name).items()}
     except PortError as error:
         return error
 

@@ -61,9 +61,9 @@ def _samples_no_sources(copy: Copy) -> None:
     """Every pixel that is no hole is a source."""
     valids: list[Any] = []
 
-    def whole(right: Change, *arguments: Any, **named: Any) -> Any:
-        valids[:] = [_valid_of(right, arguments, named)]
-        return right(*arguments, **named)
+    def whole(right: Change, *arguments: Any, **keywords: Any) -> Any:
+        valids[:] = [_valid_of(right, arguments, keywords)]
+        return right(*arguments, **keywords)
 
     def like_sums(right: Change, color: Any, is_source: Any, *others: Any) -> Any:
         return right(color, is_source & (valids[0] != 0), *others)
@@ -72,8 +72,8 @@ def _samples_no_sources(copy: Copy) -> None:
     wrap("reshade.like_sums", like_sums)(copy)
 
 
-def _valid_of(function: Change, arguments: Any, named: Any) -> Any:
-    return signature(function).bind(*arguments, **named).arguments["valid"]
+def _valid_of(function: Change, arguments: Any, keywords: Any) -> Any:
+    return signature(function).bind(*arguments, **keywords).arguments["valid"]
 
 
 RESHADE = (

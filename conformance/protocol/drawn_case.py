@@ -107,7 +107,11 @@ def _read(value: Any, folder: Path, arrays: dict[str, AnyArray]) -> Any:
         return {str(key): _read(item, folder, arrays) for key, item in content.items()}
     if kind == "weights":
         second, test, fill, tensors = content
-        named = SECOND_COLORS[SECOND_COLORS.index(second)], HOLE_TESTS[HOLE_TESTS.index(test)], HOLE_FILLS[HOLE_FILLS.index(fill)]
-        return Weights(_read(tensors, folder, arrays), *named)
+        choices = (
+            SECOND_COLORS[SECOND_COLORS.index(second)],
+            HOLE_TESTS[HOLE_TESTS.index(test)],
+            HOLE_FILLS[HOLE_FILLS.index(fill)],
+        )
+        return Weights(_read(tensors, folder, arrays), *choices)
     items = [_read(item, folder, arrays) for item in content]
     return {"list": list, "tuple": tuple}[kind](items)

@@ -163,12 +163,12 @@ def case_folders(job: Path) -> list[Path]:
         JobError: the job is not a tree of real files, there is no case, or there are more than ``MOST_CASES``.
     """
     require_real(job)
-    numbered = [path for path in job.iterdir() if re.fullmatch(r"[0-9]{4,9}", path.name) and path.is_dir()]
-    if not numbered:
+    folders = [path for path in job.iterdir() if re.fullmatch(r"[0-9]{4,9}", path.name) and path.is_dir()]
+    if not folders:
         raise JobError(f"{job}: no case in it; the first is a folder named 0000")
-    if len(numbered) > MOST_CASES:
-        raise JobError(f"{job}: expected up to {MOST_CASES} cases, got {len(numbered)}")
-    return sorted(numbered, key=lambda path: int(path.name))
+    if len(folders) > MOST_CASES:
+        raise JobError(f"{job}: expected up to {MOST_CASES} cases, got {len(folders)}")
+    return sorted(folders, key=lambda path: int(path.name))
 
 
 def read_stage(case: Path) -> str:
@@ -235,7 +235,7 @@ def read_weights(data: bytes, path: Path) -> Weights:
     try:
         tensors = dict(safetensors.deserialize(data))
         header = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])
-        described = take_format(dict(header.get("__metadata__", {})))
+        choices = take_format(dict(header.get("__metadata__", {})))
         for name, tensor in tensors.items():
             if tensor["dtype"] != "F32":
                 raise JobError(f"{path}: {name[:80]}: expected dtype F32, got {tensor['dtype']}")
@@ -243,7 +243,7 @@ def read_weights(data: bytes, path: Path) -> Weights:
             name: np.frombuffer(tensor["data"], "<f4").astype(np.float32).reshape(tensor["shape"])
             for name, tensor in tensors.items()
         }
-        return check(replace(described, tensors=arrays))
+        return check(replace(choices, tensors=arrays))
     except WeightsError as error:
         raise JobError(f"{path}: {error}") from error
     except (safetensors.SafetensorError, ValueError) as error:
@@ -404,8 +404,8 @@ def _first_line(value: object) -> str:
 
 def _read_arrays(folder: Path, specs: Mapping[str, ArraySpec], fits: Callable[[Arrays], None]) -> Outputs:
     """The arrays of these names; ``fits`` is called before the first number is read, and raises ArrayError."""
-    mapped = {name: _mapped(folder / f"{name}.npy") for name in specs}
-    fits(mapped)
-    arrays = {name: _load(array) for name, array in mapped.items()}
+    maps = {name: _mapped(folder / f"{name}.npy") for name in specs}
+    fits(maps)
+    arrays = {name: _load(array) for name, array in maps.items()}
     check_numbers(specs, arrays, lambda name: f"{folder / name}.npy")
     return arrays

@@ -49,7 +49,7 @@ def load_port(
     """
     if (spec is None) == (program is None):
         raise InputError("expected either --port package.module:factory or --exec PROGRAM")
-    named = spec or program
+    origin = spec or program
     try:
         port: Any = import_port(spec) if spec is not None else FolderPort(split_command(program or ""), timeout, stages=stages)
         lacking = [name for name in ("name", "dtype", "stages", "run") if not hasattr(port, name)]
@@ -62,14 +62,14 @@ def load_port(
         arithmetic: Any = abilities.dtype
         # NumPy's own dtype equals its name, and is no key of the tables of bounds.
         if not isinstance(arithmetic, str) or arithmetic not in ARITHMETICS:
-            raise InputError(f"{named}: dtype: expected the text float32, float16 or bfloat16, got {arithmetic!r}")
+            raise InputError(f"{origin}: dtype: expected the text float32, float16 or bfloat16, got {arithmetic!r}")
         if str(abilities.weights_version) not in VERSIONS:
-            raise InputError(f"{named}: weights_version: expected 1, 3, 4 or 5, got {abilities.weights_version!r}")
+            raise InputError(f"{origin}: weights_version: expected 1, 3, 4 or 5, got {abilities.weights_version!r}")
         unknown = stages_there - set(STAGES)
     except PortError as error:
         raise InputError(str(error) if spec is None else f"{spec}: {error}") from error
     if unknown:
-        raise InputError(f"{named}: stages: not in the table: {', '.join(sorted(unknown))}")
+        raise InputError(f"{origin}: stages: not in the table: {', '.join(sorted(unknown))}")
     return port, abilities
 
 

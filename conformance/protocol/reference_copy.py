@@ -97,8 +97,8 @@ def wrap(name: str, wrong: Callable[..., Any]) -> Plant:
 def change_arguments(name: str, **changes: Callable[..., Any]) -> Plant:
     """A function is given the change of each argument that is named; a change may read other arguments, which it names as its own."""
 
-    def wrong(right: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
-        by_name = _by_name(right, arguments, named)
+    def wrong(right: Callable[..., Any], *arguments: Any, **keywords: Any) -> Any:
+        by_name = _by_name(right, arguments, keywords)
         return right(**{**by_name, **{key: change(by_name[key], **_read_by(change, by_name)) for key, change in changes.items()}})
 
     return wrap(name, wrong)
@@ -107,14 +107,14 @@ def change_arguments(name: str, **changes: Callable[..., Any]) -> Plant:
 def returns(name: str, change: Callable[..., Any]) -> Plant:
     """A function returns the change of its result; a change may read arguments, which it names as its own."""
 
-    def wrong(right: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
-        return change(right(*arguments, **named), **_read_by(change, _by_name(right, arguments, named)))
+    def wrong(right: Callable[..., Any], *arguments: Any, **keywords: Any) -> Any:
+        return change(right(*arguments, **keywords), **_read_by(change, _by_name(right, arguments, keywords)))
 
     return wrap(name, wrong)
 
 
-def _by_name(function: Callable[..., Any], arguments: Sequence[Any], named: Mapping[str, Any]) -> dict[str, Any]:
-    bound = signature(function).bind(*arguments, **named)
+def _by_name(function: Callable[..., Any], arguments: Sequence[Any], keywords: Mapping[str, Any]) -> dict[str, Any]:
+    bound = signature(function).bind(*arguments, **keywords)
     bound.apply_defaults()
     return bound.arguments
 

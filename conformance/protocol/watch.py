@@ -77,8 +77,8 @@ class Watch:
     def _around(self, note: Callable[[Activations, tuple[Any, ...], Any], None]) -> Callable[[Function], Function]:
         def around(compute: Function) -> Function:
             @wraps(compute)
-            def noted(*arguments: Any, **named: Any) -> Any:
-                result = compute(*arguments, **named)
+            def noted(*arguments: Any, **keywords: Any) -> Any:
+                result = compute(*arguments, **keywords)
                 if (record := self._seen.get()) is not None:
                     note(record, arguments, result)
                 return result

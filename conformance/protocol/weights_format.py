@@ -57,8 +57,8 @@ Name = TypeVar("Name", bound=str)
 
 
 def _take_name(metadata: dict[str, str], key: str, names: tuple[Name, ...]) -> Name:
-    named = metadata.pop(key, "")
+    value = metadata.pop(key, "")
     for name in names:
-        if named == name:
+        if value == name:
             return name
-    raise WeightsError(f"{key}: expected one of {', '.join(names)} in the metadata, found {str(named)[:20]!r}")
+    raise WeightsError(f"{key}: expected one of {', '.join(names)} in the metadata, found {str(value)[:20]!r}")

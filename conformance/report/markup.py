@@ -29,8 +29,8 @@ def row_of(r: TestResult) -> str:
     worst = "<br>".join(f"{html.escape(name.split('.')[-1])} {number_of(ratio)}" for name, ratio in r.record.worst.items())
     cells = f'<td><code>{html.escape(r.id)}</code><td class="words">{html.escape(r.property)}<td class="{r.outcome}">{r.outcome}'
     numbers = {"cases": r.record.cases or "", "error / bound": worst}
-    counted = "".join(f'<td class="n" data-label="{name}">{cell}</td>' for name, cell in numbers.items())
-    return f"<tr>{cells}</td>{counted}</tr>"
+    figures = "".join(f'<td class="n" data-label="{name}">{cell}</td>' for name, cell in numbers.items())
+    return f"<tr>{cells}</td>{figures}</tr>"
 
 
 def failure_of(r: TestResult, folder: Path | None) -> str:

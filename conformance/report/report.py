@@ -54,10 +54,10 @@ def print_results(results: Sequence[TestResult], console: Console) -> None:
             [*(f"{name.split('.')[-1]} {number_of(ratio)}" for name, ratio in met.items()),
              *(f"{name} not judged" for name in _outputs(stage) if f"{OUTPUT_STAGE.get(stage, stage)}.{name}" not in met)]
         )  # fmt: skip
-        counted = tally([r.record for r in some])
-        note = f"; {counted['undecided']} numbers decided by rounding" if counted["undecided"] else ""
-        note += f"; {counted['unjudged']} cases not judged" if counted["unjudged"] else ""
-        table.add_row(stage, str(len(some)), str(bad or "-"), str(counted["cases"]), worst + note)
+        counts = tally([r.record for r in some])
+        note = f"; {counts['undecided']} numbers decided by rounding" if counts["undecided"] else ""
+        note += f"; {counts['unjudged']} cases not judged" if counts["unjudged"] else ""
+        table.add_row(stage, str(len(some)), str(bad or "-"), str(counts["cases"]), worst + note)
     console.print(table)
     for result in results:
         if result.outcome == "known":
@@ -172,14 +172,14 @@ def _declared(judge: Judge) -> list[str]:
 
 def _stage(results: Sequence[TestResult]) -> dict[str, Any]:
     """The cases that a stage was judged on."""
-    counted = tally([r.record for r in results])
+    counts = tally([r.record for r in results])
     return {
         "tests": len(results),
-        "cases": counted["cases"],
+        "cases": counts["cases"],
         "largest_height": max(r.record.largest[0] for r in results),
         "largest_width": max(r.record.largest[1] for r in results),
-        "undecided": counted["undecided"],
-        "unjudged": counted["unjudged"],
+        "undecided": counts["undecided"],
+        "unjudged": counts["unjudged"],
         "error_over_bound": {name: ratio if math.isfinite(ratio) else None for name, ratio in worst_of(results).items()},
     }
 
@@ -212,7 +212,7 @@ def write_page(path: Path, judge: Judge, results: Sequence[TestResult], folders:
     """
     arithmetic = judge.arithmetic.dtype + (", Winograd" if judge.arithmetic.winograd else "")
     arithmetic = "; ".join([arithmetic, *_declared(judge)])
-    counted = tally([r.record for r in results])
+    counts = tally([r.record for r in results])
     verdict = "passes" if passed(results) else "departs from the specification"
     verdict = "was not judged" if JUDGED in {r.id for r in results} else verdict
     rows = "".join(row_of(r) for r in results)
@@ -222,8 +222,8 @@ def write_page(path: Path, judge: Judge, results: Sequence[TestResult], folders:
     links = ", ".join(f'<a href="#{html.escape(name)}"><code>{html.escape(name)}</code></a>' for name in bad)
     summary = f"<p>{len(bad)} of {len(results)} tests failed: {links}</p>" if bad else ""
     body = f"""<h1>{html.escape(printable(judge.port.name))} {verdict}</h1>
-<p>{arithmetic}; tier {judge.tier.name}, seed {judge.seed}; {counted["cases"]} cases; {counted["undecided"]} numbers decided by rounding,
-{counted["unjudged"]} cases not judged for that; stss {VERSION}.</p>
+<p>{arithmetic}; tier {judge.tier.name}, seed {judge.seed}; {counts["cases"]} cases; {counts["undecided"]} numbers decided by rounding,
+{counts["unjudged"]} cases not judged for that; stss {VERSION}.</p>
 {summary}
 {table_of("Outputs", ("stage", "output"), ("largest error / bound",), outputs)}
 {failures}
@@ -233,9 +233,9 @@ def write_page(path: Path, judge: Judge, results: Sequence[TestResult], folders:
 
 def _stage_row(stage: str, some: Sequence[TestResult]) -> str:
     """A row for each output: its largest error / bound, or that it was not judged."""
-    met = worst_of(some)
-    ratios = {name.split(".")[-1]: f'<td class="n">{number_of(ratio)}' for name, ratio in met.items()}
+    worst = worst_of(some)
+    ratios = {name.split(".")[-1]: f'<td class="n">{number_of(ratio)}' for name, ratio in worst.items()}
     why = ": the port lacks the stage" if all(r.outcome == "skipped" for r in some) else ""
     lacking = f'<td class="n wrap">not judged{why}'
-    named = dict.fromkeys([*_outputs(stage), *ratios])
-    return "".join(f"<tr><td><code>{stage}</code><td>{html.escape(name)}{ratios.get(name, lacking)}</tr>" for name in named)
+    outputs = dict.fromkeys([*_outputs(stage), *ratios])
+    return "".join(f"<tr><td><code>{stage}</code><td>{html.escape(name)}{ratios.get(name, lacking)}</tr>" for name in outputs)

@@ -79,20 +79,24 @@ def _steps(frame: Buffers) -> Array:
     for axis in (0, 1):
         flat = np.abs(np.diff(normal, axis=axis)).max(axis=-1, initial=0) < SAME
         both = hit[1:] & hit[:-1] if axis == 0 else hit[:, 1:] & hit[:, :-1]
-        used = flat & both & (np.abs(np.diff(base, axis=axis)) > PATTERN)
-        steps.append(np.diff(color, axis=axis)[used] / np.diff(base, axis=axis)[used])
+        mask = flat & both & (np.abs(np.diff(base, axis=axis)) > PATTERN)
+        steps.append(np.diff(color, axis=axis)[mask] / np.diff(base, axis=axis)[mask])
     return np.concatenate(steps)
 
 
 def _correlations(frame: Buffers) -> Array:
     """The correlations of the frame as it is, and as in `OTHERWISE`."""
     assert frame.color is not None
-    seen = np.isfinite(frame.depth) & np.isfinite(frame.motion).all(axis=-1)
+    visible = np.isfinite(frame.depth) & np.isfinite(frame.motion).all(axis=-1)
     color = _edges(np.log(np.maximum(np.nan_to_num(frame.color), DARK)))
     surfaces = _edges(np.nan_to_num(np.concatenate([frame.normal, frame.base_color], axis=-1)))
     moved = [warp(surfaces[..., None], sign * frame.motion) for sign in (1, -1)]
-    choices = [(surfaces, seen), (surfaces[::-1], seen & seen[::-1]), *((w[..., 0], seen & inside) for w, inside in moved)]
-    return np.array([_correlation(color, edges, used) for edges, used in choices])
+    choices = [
+        (surfaces, visible),
+        (surfaces[::-1], visible & visible[::-1]),
+        *((w[..., 0], visible & inside) for w, inside in moved),
+    ]
+    return np.array([_correlation(color, edges, mask) for edges, mask in choices])
 
 
 def _edges(image: Image) -> Plane:
@@ -101,7 +105,7 @@ def _edges(image: Image) -> Plane:
     return np.sqrt(np.pad(across, ((0, 0), (0, 1))) + np.pad(down, ((0, 1), (0, 0))))
 
 
-def _correlation(a: Plane, b: Plane, used: Mask) -> float:
-    if not used.any() or a[used].std() == 0 or b[used].std() == 0:
+def _correlation(a: Plane, b: Plane, mask: Mask) -> float:
+    if not mask.any() or a[mask].std() == 0 or b[mask].std() == 0:
         return 0.0
-    return float(np.corrcoef(a[used], b[used])[0, 1])
+    return float(np.corrcoef(a[mask], b[mask])[0, 1])

@@ -29,20 +29,20 @@ def camera_lines(sequence: Sequence, number: int) -> list[Line]:
     buffers = sequence.load(number, color=False)
     position = buffers.position.astype(np.float64) * sequence.profile.units_per_cm
     ray = sequence.profile.depth.kind == "ray" and (pose is None or pose.to_camera is None)
-    solved = solve_camera(buffers.depth, position, ray=ray)
-    if solved is None or solved.residual > SURE:
+    camera = solve_camera(buffers.depth, position, ray=ray)
+    if camera is None or camera.residual > SURE:
         return []
-    lines = _nov_lines(buffers, position, solved.pose.position) if "nov" in sequence.frames[number].sources else []
+    lines = _nov_lines(buffers, position, camera.pose.position) if "nov" in sequence.frames[number].sources else []
     if pose is None:
         return lines
     visible = np.isfinite(buffers.depth) & np.isfinite(position).all(axis=-1)
-    away = float(np.median(np.linalg.norm(position[visible] - solved.pose.position, axis=-1)))
-    apart = float(np.linalg.norm(pose.position - solved.pose.position)) / away
+    away = float(np.median(np.linalg.norm(position[visible] - camera.pose.position, axis=-1)))
+    apart = float(np.linalg.norm(pose.position - camera.pose.position)) / away
     is_table = len(sequence.tables) > 1
     if apart <= APART:
         which = "--camera" if is_table else "that of the files"
         return [*lines, ("note", f"camera: {which} agrees with position and depth (frame {number})")]
-    words = ["(" + ", ".join(f"{x:.4g}" for x in place) + ")" for place in (pose.position, solved.pose.position)]
+    words = ["(" + ", ".join(f"{x:.4g}" for x in place) + ")" for place in (pose.position, camera.pose.position)]
     advice = "leave --camera out" if is_table else "the files' metadata belong to another camera: give --camera"
     text = f"camera: frame {number}: given at {words[0]}, but position and depth put it at {words[1]}; {advice}"
     return [*lines, ("warning", text)]
@@ -50,8 +50,8 @@ def camera_lines(sequence: Sequence, number: int) -> list[Line]:
 
 def nov_lines(buffers: Buffers) -> list[Line]:
     """Compare a frame's NoV with that of the camera that its positions and depths give."""
-    solved = solve_camera(buffers.depth, buffers.position)
-    return [] if solved is None or solved.residual > SURE else _nov_lines(buffers, buffers.position, solved.pose.position)
+    camera = solve_camera(buffers.depth, buffers.position)
+    return [] if camera is None or camera.residual > SURE else _nov_lines(buffers, buffers.position, camera.pose.position)
 
 
 def _nov_lines(buffers: Buffers, position: Image, camera: Array) -> list[Line]:

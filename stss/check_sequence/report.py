@@ -110,25 +110,25 @@ def check(
         findings.append(CheckFinding("note", f"profile: {table.name}, by the channels' names; --profile takes another"))
     tables: dict[str, object] = {"profile": table.name}
     try:
-        numbers = sorted(find_frames(Path(sequence_path), table.endings))
-        findings += missing_frames(numbers)
+        all_numbers = sorted(find_frames(Path(sequence_path), table.endings))
+        findings += missing_frames(all_numbers)
         bar = partial(track, console=console, text="reading headers")
         sequence = replace(reading, profile=table, non_finite="mask").open(sequence_path, bar, keep_going=True)
-        looked = [n for n in sequence.numbers if frames is None or frames[0] <= n <= frames[1]]
-        if not looked:
-            raise InputError(f"{sequence_path}: no frames from {frames}; it has {numbers[0]} to {numbers[-1]}")
-        findings += broken_frames(sequence, looked)
-        looked = [n for n in looked if sequence.frames[n].fault is None]
-        if not looked:
+        numbers = [n for n in sequence.numbers if frames is None or frames[0] <= n <= frames[1]]
+        if not numbers:
+            raise InputError(f"{sequence_path}: no frames from {frames}; it has {all_numbers[0]} to {all_numbers[-1]}")
+        findings += broken_frames(sequence, numbers)
+        numbers = [n for n in numbers if sequence.frames[n].fault is None]
+        if not numbers:
             raise InputError(f"{sequence_path}: none of these frames can be read")
-        findings += missing_buffers(sequence, looked)
+        findings += missing_buffers(sequence, numbers)
         findings += [CheckFinding("warning", text) for text in sequence.alone]
-        findings += data_windows(sequence, looked)
-        tables |= {"size": list(sequence.size), "frames": _frame_table(sequence, looked)}
-        tables["summary"] = summary(looked, sequence.size)
-        findings += _storage(sequence, looked, tables)
+        findings += data_windows(sequence, numbers)
+        tables |= {"size": list(sequence.size), "frames": _frame_table(sequence, numbers)}
+        tables["summary"] = summary(numbers, sequence.size)
+        findings += _storage(sequence, numbers, tables)
         with show_steps(console, LOOKS) as begin:
-            findings += _pixels(sequence, looked, reading.non_finite, tables, begin)
+            findings += _pixels(sequence, numbers, reading.non_finite, tables, begin)
             begin("sampling")
             sampling = judge_sampling(sequence)
         tables["sampling"] = dataclasses.asdict(sampling)

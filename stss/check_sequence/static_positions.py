@@ -234,19 +234,19 @@ def judge_static_geometry(pairs: Iterable[tuple[Buffers, Buffers]]) -> StaticGeo
             sky += _background(background_motion(earlier, current, size), now)
         static = still & static_surfaces(now)
         there, away = earlier.project(now.position[static].astype(np.float64))
-        kept = (away > 0) & (there >= 0).all(axis=-1) & (there <= (size[1] - 1, size[0] - 1)).all(axis=-1)
-        if not kept.any():
+        visible = (away > 0) & (there >= 0).all(axis=-1) & (there <= (size[1] - 1, size[0] - 1)).all(axis=-1)
+        if not visible.any():
             continue
         relative &= all(_at_origin(*of) for of in ((earlier, before), (current, now)))
-        mirrored, here = current.mirrored, np.argwhere(static)[kept, ::-1]
-        motions = [motion[static].astype(np.float64)[kept] for motion in (now.motion, np.nan_to_num(now.motion[::-1]))]
-        samples.append((there[kept] - here, *motions))
-        if (shift := common_shift(there[kept] - here - motions[0])) is not None:
+        mirrored, here = current.mirrored, np.argwhere(static)[visible, ::-1]
+        motions = [motion[static].astype(np.float64)[visible] for motion in (now.motion, np.nan_to_num(now.motion[::-1]))]
+        samples.append((there[visible] - here, *motions))
+        if (shift := common_shift(there[visible] - here - motions[0])) is not None:
             against.append(shift)
         surfaces = before.stencil, now.stencil, before.normal, now.normal, before.position, now.position
         valid, inside = holes(now.motion, *surfaces, now.nov, now.depth), leads_inside(follow(now.motion))
         share = static_holes(np.where(inside, now.stencil, 1), now.normal, valid) or 0.0
-        movers = _movers(here[:, ::-1], np.linalg.norm(there[kept] - here - motions[0], axis=-1), size)
+        movers = _movers(here[:, ::-1], np.linalg.norm(there[visible] - here - motions[0], axis=-1), size)
         depths = (_depth(a.depth, b, by) for a, b, by in ((now, now, current), (before, now, current), (now, before, earlier)))
         single.append((max(earlier.residual, current.residual), *depths, *_normals(now), share, movers))
     positions = _verdict(samples, single, size, mirrored=mirrored, relative=relative) if samples else None
@@ -268,14 +268,14 @@ def _at_origin(projection: Projection, frame: Buffers) -> bool:
 
 def _background(motion: Image, now: Buffers) -> list[tuple[float, float, float, float]]:
     """For a frame's background: its share, the median of its right motion, the median error and the largest of its stored motion."""
-    missed = ~np.isfinite(now.depth) & np.isfinite(motion).all(axis=-1)
-    if missed.sum() < MIN_PIXELS:
+    background = ~np.isfinite(now.depth) & np.isfinite(motion).all(axis=-1)
+    if background.sum() < MIN_PIXELS:
         return []
-    own = np.where(np.isfinite(now.motion), now.motion, np.inf)[missed].astype(np.float64)
+    own = np.where(np.isfinite(now.motion), now.motion, np.inf)[background].astype(np.float64)
     with np.errstate(invalid="ignore"):
-        errors = np.linalg.norm(own - motion[missed], axis=-1)
-    turns = float(np.median(np.linalg.norm(motion[missed], axis=-1)))
-    return [(float(missed.mean()), turns, float(np.median(errors)), float(np.abs(own).max()))]
+        errors = np.linalg.norm(own - motion[background], axis=-1)
+    turns = float(np.median(np.linalg.norm(motion[background], axis=-1)))
+    return [(float(background.mean()), turns, float(np.median(errors)), float(np.abs(own).max()))]
 
 
 def _verdict(
@@ -374,24 +374,24 @@ def _not_linear(of: Array, by: Array) -> float:
 
 def _line(true: Array, motion: Array) -> tuple[float, float]:
     """Scale and offset of a straight line, without the pixels that fit worst."""
-    used = np.ones(len(true), np.bool_)
+    is_inlier = np.ones(len(true), np.bool_)
     scale, offset = 1.0, 0.0
     for _ in range(3):
-        spread = float(motion[used].std())
-        scale = float(np.cov(true[used], motion[used], bias=True)[0, 1]) / spread**2 if spread > 0 else 0.0
-        offset = float(np.mean(true[used] - scale * motion[used]))
+        spread = float(motion[is_inlier].std())
+        scale = float(np.cov(true[is_inlier], motion[is_inlier], bias=True)[0, 1]) / spread**2 if spread > 0 else 0.0
+        offset = float(np.mean(true[is_inlier] - scale * motion[is_inlier]))
         error = np.abs(true - scale * motion - offset)
-        used = error <= max(3 * float(np.median(error)), 1e-6)
+        is_inlier = error <= max(3 * float(np.median(error)), 1e-6)
     return scale, offset
 
 
 def _depth(plane: Array, frame: Buffers, projection: Projection) -> float:
     """Median deviation of depths from a multiple of the distance along the view of a frame's positions; -1 where they fall with it."""
-    seen = static_surfaces(frame) & np.isfinite(plane)
-    if seen.sum() < 2:
+    mask = static_surfaces(frame) & np.isfinite(plane)
+    if mask.sum() < 2:
         return np.inf
-    away = projection.project(frame.position[seen].astype(np.float64))[1]
-    depth = plane[seen].astype(np.float64)
+    away = projection.project(frame.position[mask].astype(np.float64))[1]
+    depth = plane[mask].astype(np.float64)
     if np.cov(depth, away)[0, 1] < 0:
         return -1.0
     scale = float(np.median(depth / away))
@@ -407,10 +407,10 @@ def _normals(frame: Buffers) -> tuple[float, float]:
         flat = bend.sum(axis=-1) < FLAT * np.minimum(np.linalg.norm(across, axis=-1), np.linalg.norm(down, axis=-1))
         normals = np.cross(across, down)
         normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
-    used = flat & np.isfinite(normals).all(axis=-1) & static_surfaces(frame)[1:-1, 1:-1]
-    if not used.any():
+    mask = flat & np.isfinite(normals).all(axis=-1) & static_surfaces(frame)[1:-1, 1:-1]
+    if not mask.any():
         return 0.0, 0.0
-    a, b = frame.normal[1:-1, 1:-1][used].astype(np.float64), normals[used]
+    a, b = frame.normal[1:-1, 1:-1][mask].astype(np.float64), normals[mask]
     u, _, v = np.linalg.svd(a.T @ b)  # the cross product may point away from the camera, but then it does so everywhere
     sign = np.sign(np.median((a * b).sum(axis=-1)))
     a /= np.linalg.norm(a, axis=-1, keepdims=True)  # a mixture of several is shorter

@@ -31,11 +31,11 @@ def motion_lines(verdict: ConventionVerdict, profile: str) -> list[Line]:
     """Findings about the motion convention of ``profile``, such as "profile blender", from the warped frames."""
     if not verdict.pixels:
         return [("note", "motion: cannot tell whether its signs are right; too little moves, or nothing has texture")]
-    compared = f"base colour and normal of the previous frame, warped, over {verdict.pixels} pixels"
+    comparison = f"base colour and normal of the previous frame, warped, over {verdict.pixels} pixels"
     if verdict.better is None:
-        return [("note", f"motion: fits as {profile} says ({compared}: {verdict.error:.4f})")]
+        return [("note", f"motion: fits as {profile} says ({comparison}: {verdict.error:.4f})")]
     times = 1 / max(verdict.ratios[verdict.better], 1e-3)
-    text = f"motion: fits {times:.1f} times as well with {verdict.better}, so {profile} seems wrong ({compared})"
+    text = f"motion: fits {times:.1f} times as well with {verdict.better}, so {profile} seems wrong ({comparison})"
     return [("warning", text)]
 
 
@@ -118,17 +118,17 @@ class Values:
             self._highest("color", buffers.color)
 
     def _add_background(self, depth: Array, hit: Mask) -> None:
-        missed = depth[~hit]
+        background = depth[~hit]
         with np.errstate(invalid="ignore"):
-            self._counts["background 0 or less"] += int((missed <= 0).sum())
-            self._counts["background not finite"] += int((~np.isfinite(missed)).sum())
-            self._counts["background far"] += int((np.isfinite(missed) & (missed > 0)).sum())
+            self._counts["background 0 or less"] += int((background <= 0).sum())
+            self._counts["background not finite"] += int((~np.isfinite(background)).sum())
+            self._counts["background far"] += int((np.isfinite(background) & (background > 0)).sum())
 
     def _count_non_finite(self, planes: dict[str, Array], hit: Mask, number: int) -> None:
         """Count them where they matter: where nothing was hit, only the colour, motion and depth of a file are used."""
         for buffer in BUFFERS:
-            used = ... if buffer in ("color", "motion", "depth") else hit
-            bad = int((~np.isfinite(planes[buffer][used])).sum()) if buffer in planes else 0
+            where = ... if buffer in ("color", "motion", "depth") else hit
+            bad = int((~np.isfinite(planes[buffer][where])).sum()) if buffer in planes else 0
             if bad:
                 self._counts[f"non-finite {buffer}"] += bad
                 self._non_finite.setdefault(buffer, f"frame {number}")

@@ -37,6 +37,6 @@ def gather(parts: Path, out: Path, sequence: Path | None, frames: tuple[int, int
         echo(f"made by: {'; '.join(result.makers)}: the last bits of their frames may differ", err=True)
     if result.missing:
         more = f", ... ({result.missing} in all)" if result.missing > len(result.first_missing) else ""
-        listed = ", ".join(map(str, result.first_missing)) + more
-        echo(f"missing: frames {listed}: in no part and not in {out}; run their task again, then gather once more", err=True)
+        numbers = ", ".join(map(str, result.first_missing)) + more
+        echo(f"missing: frames {numbers}: in no part and not in {out}; run their task again, then gather once more", err=True)
     sys.exit(1 if result.missing else 0)

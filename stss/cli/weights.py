@@ -40,8 +40,8 @@ def import_weights(checkpoint: Path, out: Path) -> None:
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def inspect(file: str, size: tuple[int, int], as_json: bool) -> None:
     """Print the layers of the weights in FILE: shapes, parameters, multiply-adds."""
-    inspected = inspection.inspect(load(file).weights, *size)
+    summary = inspection.inspect(load(file).weights, *size)
     if as_json:
-        click.echo(json.dumps(asdict(inspected)))
+        click.echo(json.dumps(asdict(summary)))
     else:
-        inspection.print_inspection(inspected, Terminal())
+        inspection.print_inspection(summary, Terminal())

@@ -135,8 +135,8 @@ class _Run:
 
     def _is_kept(self, number: int, who: Introduction) -> bool:
         work, options, folder = self._work, self._work.options, self._planned.folder
-        described = describe(work.sequence, options, NETWORK, who.backend, who.weights)
-        kind = already_written(folder, options, number, keys_of(work.sequence, work.rendered, options, described).of(number))
+        settings = describe(work.sequence, options, NETWORK, who.backend, who.weights)
+        kind = already_written(folder, options, number, keys_of(work.sequence, work.rendered, options, settings).of(number))
         if kind is not None:
             self._report(FrameReport(number, kind, "kept"))
         return kind is not None

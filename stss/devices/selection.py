@@ -59,18 +59,18 @@ def choose(name: str | None = None, tell: Tell = lambda line: None, *, trial: st
     if os.environ.get("STSS_TRUST_DEVICE") == "1":
         return open_handle(next(iter((gpus or others).values())))
 
-    refused: list[str] = []
+    refusals: list[str] = []
     verdicts: dict[str, Verdict] = {}
     for group in (gpus, others):
         verdicts |= {n: verdict(n, h, trial=trial, tell=tell) for n, h in group.items()}
         passed = [n for n in group if verdicts[n].passed]
-        refused += [f"{n} {verdicts[n]}" for n in group if n not in passed]
+        refusals += [f"{n} {verdicts[n]}" for n in group if n not in passed]
         if passed:
-            for line in refused:
+            for line in refusals:
                 tell(f"not used: {line}")
             return open_handle(devices[max(passed, key=lambda n: verdicts[n].gflops)])
     anew = "stss devices --again" if all(verdicts[n].lasting for n in verdicts) else "the next start"
-    raise DeviceError(f"self-test: {'; '.join(refused)}: {anew} tests again, STSS_TRUST_DEVICE=1 uses a device without a test")
+    raise DeviceError(f"self-test: {'; '.join(refusals)}: {anew} tests again, STSS_TRUST_DEVICE=1 uses a device without a test")
 
 
 def rows(*, again: bool = False, tell: Tell = lambda line: None) -> list[Row]:

@@ -250,13 +250,13 @@ def _alone(path: Path, wait: Callable[[], None]) -> Generator[None]:
 
 
 def _limit() -> float:
-    named = os.environ.get("STSS_SELFTEST_SECONDS")
+    setting = os.environ.get("STSS_SELFTEST_SECONDS")
     try:
-        limit = TIME_LIMIT if named is None else float(named)
+        limit = TIME_LIMIT if setting is None else float(setting)
     except ValueError:
         limit = 0.0
     if not 0 < limit <= MOST_TIME:
-        raise DeviceError(f"STSS_SELFTEST_SECONDS: expected a number of seconds > 0, {MOST_TIME:g} at most, got {named!r}")
+        raise DeviceError(f"STSS_SELFTEST_SECONDS: expected a number of seconds > 0, {MOST_TIME:g} at most, got {setting!r}")
     return limit
 
 

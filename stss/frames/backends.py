@@ -95,8 +95,8 @@ class OpenCLBackend:
         if options.precision == "bfloat16" and (why := emulated(device)):
             tell(f"bfloat16: {why}; emulated, which is slow")
         self._stream = Stream(weights, device, options.precision, memory_limit=options.memory_limit, skip=options.skip)
-        named = "" if device.kind.lower() == device.device_class else f" as {device.device_class}"
-        self.name = f"cl {options.precision} on {device.name}{named}, {device.driver}"
+        role = "" if device.kind.lower() == device.device_class else f" as {device.device_class}"
+        self.name = f"cl {options.precision} on {device.name}{role}, {device.driver}"
 
     def expect(self, size: tuple[int, int]) -> None:
         """See ``Backend``."""

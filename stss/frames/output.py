@@ -39,7 +39,7 @@ class Output:
 def plan(window: Sequence[DisplayFrame]) -> Schedule | None:
     """The schedule of the newest frame of ``window``; None for an EF with no rendered frame just before it."""
     newest = window[-1].number
-    rendered = {prepared.number for prepared in window if prepared.color is not None}
+    rendered = {frame.number for frame in window if frame.color is not None}
     return schedule(newest, rendered, reach=newest - window[0].number)
 
 

@@ -71,8 +71,8 @@ class Supersampler:
         self._depth: DepthMode = depth
         if isinstance(backend, str):
             options = ComputeOptions(device, precision, memory_limit, skip)
-            named = isinstance(weights, str) and weights == "auto"
-            backend = open_backend(backend, REALTIME if named else weights, options, tell=tell)
+            is_auto = isinstance(weights, str) and weights == "auto"
+            backend = open_backend(backend, REALTIME if is_auto else weights, options, tell=tell)
         if not all(callable(getattr(backend, name, None)) for name in ("compute", "expect")):
             raise InputError(f"backend: expected a name or one from open_backend, got {type(backend).__name__}")
         self.backend = backend
@@ -108,11 +108,11 @@ class Supersampler:
     def _push(self, buffers: Buffers) -> Output | None:
         if self._check:
             check_buffers(buffers)
-        prepared = prepare(buffers, self._curve, self._depth, copy=self._copy)
+        frame = prepare(buffers, self._curve, self._depth, copy=self._copy)
         last = self._window[-1] if self._window else None
-        if last is not None and (buffers.cut or prepared.number != last.number + 1 or prepared.nov.shape != last.nov.shape):
+        if last is not None and (buffers.cut or frame.number != last.number + 1 or frame.nov.shape != last.nov.shape):
             self.reset()
-        self._window.append(prepared)
+        self._window.append(frame)
         output = compute(tuple(self._window), self.backend)
         return None if output is None else decode(output, self._curve)
 

@@ -165,8 +165,8 @@ def _lines(versions: Sequence[Version], metric: str) -> list[PlotLine]:
             rows = [row for row in version.comparison.rows if row.kind == kind]
             values = {row.number: value for row in rows if (value := getattr(row.scores["all"], metric)) is not None}
             if values:
-                named = f"{version.name} {kind or ''}".strip() if len(versions) > 1 else kind or version.name
-                lines.append(PlotLine(named, values, kind or "", i if len(versions) > 1 else j % 2))
+                label = f"{version.name} {kind or ''}".strip() if len(versions) > 1 else kind or version.name
+                lines.append(PlotLine(label, values, kind or "", i if len(versions) > 1 else j % 2))
     return lines
 
 
@@ -183,8 +183,8 @@ def _frames(versions: Sequence[Version], inputs: RenderedInputs | None, track: T
             pictures[version.name], truth = version.pairs[row.number].load()
             pictures[TRUTH] = truth
             scores = next(r.scores["all"] for r in version.comparison.rows if r.number == row.number)
-            named = f"{version.name} " if len(versions) > 1 else ""
+            prefix = f"{version.name} " if len(versions) > 1 else ""
             ssim = "-" if scores.ssim is None else f"{scores.ssim:.4f}"
-            lines.append(f"{named}PSNR {scores.psnr_rgb:.2f} dB, SSIM {ssim}")
+            lines.append(f"{prefix}PSNR {scores.psnr_rgb:.2f} dB, SSIM {ssim}")
         pictures[TRUTH] = pictures.pop(TRUTH)
         yield ShownFrame(row.number, row.kind or "", "; ".join(lines), pictures)

@@ -116,10 +116,10 @@ def gather(
         parts.rmdir()
     there = {int(match[1]) for name in target.sums() if (match := _FRAME.fullmatch(name))}
     first, last = frames or (min(there, default=0), max(there, default=-1))
-    shown = sorted(number for number in there if first <= number <= last)
-    gaps = (range(a + 1, b) for a, b in pairwise([first - 1, *shown, last + 1]))  # lazily: numbers may lie far apart
+    inside = sorted(number for number in there if first <= number <= last)
+    gaps = (range(a + 1, b) for a, b in pairwise([first - 1, *inside, last + 1]))  # lazily: numbers may lie far apart
     return Gathered(
-        len(folders), len(there), last - first + 1 - len(shown), tuple(islice(chain.from_iterable(gaps), LISTED)), makers
+        len(folders), len(there), last - first + 1 - len(inside), tuple(islice(chain.from_iterable(gaps), LISTED)), makers
     )
 
 
@@ -200,9 +200,9 @@ def _require_alike(folders: Sequence[Path], target: OutputFolder | None) -> tupl
             attributes = read_header(path).attributes
         except InputError:  # as its list says, whatever it is
             attributes = {}
-        made = {name: str(attributes.get(f"stss:{name}", "none")) for name in SETTINGS} | {"format": path.suffix[1:]}
-        first = first or (path, made)
-        for name, value in made.items():
+        settings = {name: str(attributes.get(f"stss:{name}", "none")) for name in SETTINGS} | {"format": path.suffix[1:]}
+        first = first or (path, settings)
+        for name, value in settings.items():
             if value != first[1][name]:
                 raise InputError(
                     f"{path}: {name} {value}, but {first[0]} has {first[1][name]}; expected frames of one run: make a part again"

@@ -45,16 +45,16 @@ def overlap(
     reader, writer = ThreadPoolExecutor(1, "stss-read"), ThreadPoolExecutor(1, "stss-write")
     reading: deque[Future[Read]] = deque()
     writing: deque[Future[Written]] = deque()
-    failed = False
+    has_failed = False
 
-    def write_in_turn(computed: Computed) -> Written:
-        nonlocal failed
-        if failed:
+    def write_in_turn(result: Computed) -> Written:
+        nonlocal has_failed
+        if has_failed:
             raise CancelledError  # its result is not read: the error before it ends the work
         try:
-            return write(computed)
+            return write(result)
         except BaseException:
-            failed = True
+            has_failed = True
             raise
 
     def begin_to_read(most: int) -> None:

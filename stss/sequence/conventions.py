@@ -148,8 +148,8 @@ def to_specification(
     ``outside``: (H, W) pixels that are in no data window: nothing was hit there, and nothing moves.
     """
     depth = linear_depth(buffers["depth"][..., 0], profile.depth)
-    normal, missed = world_normal(buffers["normal"], profile.normal)
-    missed |= ~np.isfinite(depth) if outside is None else ~np.isfinite(depth) | outside
+    normal, background = world_normal(buffers["normal"], profile.normal)
+    background |= ~np.isfinite(depth) if outside is None else ~np.isfinite(depth) | outside
     position = np.where(np.isfinite(buffers["position"]).all(axis=-1, keepdims=True), buffers["position"], np.nan)
     if profile.depth.kind == "ray":
         depth = ray_to_planar(depth, position, camera)
@@ -161,9 +161,9 @@ def to_specification(
     buffers["normal"] = normal
     buffers["position"] = (position / profile.units_per_cm).astype(np.float32)
     for buffer in ("normal", "nov", "position", "stencil", "base_color", "roughness", "metallic"):
-        background = BACKGROUND_POSITION if buffer == "position" else 0
-        buffers[buffer] = np.where(missed[..., None], np.float32(background), buffers[buffer])
-    return np.where(missed, np.float32(np.inf), depth)
+        value = BACKGROUND_POSITION if buffer == "position" else 0
+        buffers[buffer] = np.where(background[..., None], np.float32(value), buffers[buffer])
+    return np.where(background, np.float32(np.inf), depth)
 
 
 def motion_in_pixels(motion: Image, rule: MotionRule, display: tuple[int, int] | None = None) -> Image:
@@ -181,12 +181,12 @@ def linear_depth(depth: Plane, rule: DepthRule) -> Plane:
     d = depth.astype(np.float64)
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         if rule.kind == "device":
-            missed = ~np.isfinite(d)
+            background = ~np.isfinite(d)
             d = np.clip(d, 0, 1)
             d = d if rule.reversed else 1 - d
             # d is 1 at the near plane, 0 at the far one; 1 / z is linear in it.
             d = 1 / (d / rule.near + (1 - d) / rule.far)
-            hit = np.isfinite(d) & (d < rule.far * (1 - 1e-6)) & ~missed
+            hit = np.isfinite(d) & (d < rule.far * (1 - 1e-6)) & ~background
         else:
             hit = np.isfinite(d) & (d > 0) & (d < rule.background)
     return np.where(hit, d, np.inf).astype(np.float32)
@@ -206,11 +206,11 @@ def ray_to_planar(depth: Plane, position: Image, camera: CameraPose | None) -> P
 
 def world_normal(normal: Image, rule: NormalRule) -> tuple[Image, Mask]:
     """The stored normal as (H, W, 3) float32, and (H, W) True where its value means that nothing was hit."""
-    missed = np.zeros(normal.shape[:2], dtype=np.bool_)
+    background = np.zeros(normal.shape[:2], dtype=np.bool_)
     if rule.background is not None:
-        missed = (normal == np.array(rule.background, dtype=np.float32)).all(axis=-1)
+        background = (normal == np.array(rule.background, dtype=np.float32)).all(axis=-1)
     with np.errstate(invalid="ignore", over="ignore"):
-        return ((normal - rule.bias) * rule.scale).astype(np.float32), missed
+        return ((normal - rule.bias) * rule.scale).astype(np.float32), background
 
 
 def normal_dot_view(normal: Image, position: Image, camera: Array) -> Plane:

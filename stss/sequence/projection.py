@@ -62,17 +62,17 @@ class Projection:
             return np.stack([x / w, y / w], axis=-1) * self.half + self.middle, w
 
 
-def solve_projection(position: Image, seen: Mask) -> Projection | None:
+def solve_projection(position: Image, mask: Mask) -> Projection | None:
     """Solve for the projection of a frame by least squares over its pixels.
 
     Args:
         position: (H, W, 3).
-        seen: (H, W) the pixels to look at.
+        mask: (H, W) the pixels to look at.
 
     Returns:
         The projection; None where too few pixels are seen, or they are of a line or a point.
     """
-    y, x = np.nonzero(seen & np.isfinite(position).all(axis=-1))
+    y, x = np.nonzero(mask & np.isfinite(position).all(axis=-1))
     if len(y) > PIXELS:
         some = np.linspace(0, len(y) - 1, PIXELS).astype(int)
         y, x = y[some], x[some]
@@ -86,15 +86,15 @@ def solve_projection(position: Image, seen: Mask) -> Projection | None:
     if wide.sum() < 2:
         return None
     axes = (directions[:, wide] / extent[wide]).T
-    height, width = seen.shape
+    height, width = mask.shape
     middle, half = np.array([width - 1, height - 1]) / 2, width / 2
     pixels = np.stack([x, y], axis=-1)
     u, v = ((pixels - middle) / half).T
     q = _homogeneous(axes, p - origin)
-    weight, used = np.ones(len(u)), np.ones(len(u), np.bool_)
+    weight, is_inlier = np.ones(len(u)), np.ones(len(u), np.bool_)
     projection = None
     for _ in range(ROUNDS):
-        a, zero = q * weight * used, np.zeros_like(q)
+        a, zero = q * weight * is_inlier, np.zeros_like(q)
         rows = np.concatenate([np.concatenate([a, zero, -u * a]), np.concatenate([zero, a, -v * a])], axis=1)
         matrix = np.linalg.eigh(rows @ rows.T)[1][:, 0].reshape(3, len(q))
         w = matrix[2] @ q
@@ -106,7 +106,7 @@ def solve_projection(position: Image, seen: Mask) -> Projection | None:
         if not np.isfinite(typical):
             return None
         projection = Projection(matrix, axes, origin, middle, half, typical)
-        used = error <= max(3 * typical, 1e-9)
+        is_inlier = error <= max(3 * typical, 1e-9)
         weight = 1 / np.maximum(w, 1e-3 * float(np.median(w)))  # then the residual is in pixels
     return projection
 

@@ -151,14 +151,14 @@ class Sequence:
         except InputError:
             return buffers
         now = self._projection(buffers.number, buffers)
-        missed = ~np.isfinite(buffers.depth)[..., None]
+        background = ~np.isfinite(buffers.depth)[..., None]
         if before is None or now is None:
             number = buffers.number - (now is not None)
             raise InputError(
                 f"{self._where(buffers.number)}: --background camera: positions of static geometry in frame {number} do not give the "
                 "camera; write the background's motion into the files"
             )
-        motion = np.where(missed, background_motion(before, now, self.size), buffers.motion)
+        motion = np.where(background, background_motion(before, now, self.size), buffers.motion)
         return replace(buffers, motion=motion)
 
     def _projection(self, number: int, buffers: Buffers | None = None) -> Projection | None:
@@ -249,14 +249,14 @@ class Sequence:
 
     def _solve(self, number: int, arrays: dict[str, Array]) -> CameraPose:
         rule = self.profile.depth
-        solved = solve_camera(linear_depth(arrays["depth"][..., 0], rule), arrays["position"], ray=rule.kind == "ray")
-        if solved is None or solved.residual > MAX_RESIDUAL:
-            reason = "too few surfaces" if solved is None else f"they differ by {solved.residual:.1g} of the distance"
+        camera = solve_camera(linear_depth(arrays["depth"][..., 0], rule), arrays["position"], ray=rule.kind == "ray")
+        if camera is None or camera.residual > MAX_RESIDUAL:
+            reason = "too few surfaces" if camera is None else f"they differ by {camera.residual:.1g} of the distance"
             raise InputError(
                 f"{self._where(number)}: no nov and no camera, and position and depth do not give one ({reason}): give --camera CSV "
                 f"(frame,x,y,z in the scene's unit) or a channel {' or '.join(names[0] for names in self.profile.channels['nov'])}"
             )
-        return solved.pose
+        return camera.pose
 
     def _carried(self, number: int, also: Collection[str]) -> dict[str, Source]:
         """The places of the planes that do not go through the network: alpha beside the colour, and the layers and channels in ``also``."""
@@ -469,10 +469,10 @@ def _first_headers(files_by_number: Frames) -> tuple[int, dict[str, Header]]:
 def _require_window(header: Header, first: Header) -> None:
     """Raise InputError unless a file has the display window of the first one."""
     if header.display != first.display:
-        found, size = (f"{h.display.width} x {h.display.height}" for h in (header, first))
-        if found == size:
-            found, size = (f"display window {h.display}" for h in (header, first))
-        raise InputError(f"{header.path}: {found}; expected {size}, as {first.path.name} is")
+        window, size = (f"{h.display.width} x {h.display.height}" for h in (header, first))
+        if window == size:
+            window, size = (f"display window {h.display}" for h in (header, first))
+        raise InputError(f"{header.path}: {window}; expected {size}, as {first.path.name} is")
 
 
 def _frame_of(
@@ -512,8 +512,8 @@ def _canvas(path: Path, display: PixelWindow, frames: Iterable[RawFrame]) -> Pix
 def _require_buffers(path: Path, profile: Profile, frames: Mapping[int, RawFrame], constants: Mapping[str, float]) -> None:
     """Raise InputError if no frame at all has some buffers: then the profile or the render is wrong, and no file is missing."""
     assert set(constants) <= set(CONSTANTS)
-    found = {*constants, *(buffer for frame in frames.values() for buffer in frame.sources)}
-    missing = [buffer for buffer in BUFFERS if buffer not in found and buffer != "nov"]  # which follows from position and depth
+    present = {*constants, *(buffer for frame in frames.values() for buffer in frame.sources)}
+    missing = [buffer for buffer in BUFFERS if buffer not in present and buffer != "nov"]  # which follows from position and depth
     if missing:
         sound = next(frame for frame in frames.values() if frame.fault is None)
         there = sorted({name for file in sound.files for name in read_header(file).channels})

@@ -40,8 +40,8 @@ def display_frames(scene: Scene, size: tuple[int, int], count: int) -> Iterator[
     for number in range(count):
         view = render(scene, number, *size)
         planes: dict[str, Any] = {n: getattr(view, n).astype(np.float32) for n in view.__dataclass_fields__}
-        missed = np.isinf(planes["depth"])[..., None]
-        planes["position"] = np.where(missed, np.float32(BACKGROUND_POSITION), planes["position"])
+        background = np.isinf(planes["depth"])[..., None]
+        planes["position"] = np.where(background, np.float32(BACKGROUND_POSITION), planes["position"])
         color = planes.pop("color") if number % 2 == 0 else None
         planes.pop("color", None)
         yield prepare(Buffers(number=number, color=color, **planes), curve, "scale")

@@ -97,15 +97,15 @@ def _weights(files: dict[str, bytes]) -> Weights:
     if len(files["data.pkl"]) > MAX_PICKLE_BYTES:
         raise WeightsError(f"data.pkl is larger than {MAX_PICKLE_BYTES >> 10} KiB")
     try:
-        described = _Reader(io.BytesIO(files["data.pkl"])).load()
+        dictionary = _Reader(io.BytesIO(files["data.pkl"])).load()
     except WeightsError:
         raise
     except Exception as error:
         # A stranger's bytes: an empty stack, an instruction without a method, text that isn't UTF-8, ...
         raise WeightsError(f"data.pkl: damaged pickle ({type(error).__name__}: {_short(str(error))})") from error
-    if not isinstance(described, _Dict):
-        raise WeightsError(f"data.pkl: expected a dictionary of tensors, got {type(described).__name__}")
-    names = [str(name) for name in described]
+    if not isinstance(dictionary, _Dict):
+        raise WeightsError(f"data.pkl: expected a dictionary of tensors, got {type(dictionary).__name__}")
+    names = [str(name) for name in dictionary]
     if not set(names) & set(TENSORS):
         keys = ", ".join(_short(name) for name in names[:5]) + (", ..." if len(names) > 5 else "")
         raise WeightsError(f"no tensor of this network in it; its keys: {keys or 'none'}")
@@ -114,7 +114,7 @@ def _weights(files: dict[str, bytes]) -> Weights:
     if order not in {b"little", b"big"}:
         raise WeightsError(f"byteorder: expected little or big, got {order[:20]!r}")
     dtype = np.dtype("<f4" if order == b"little" else ">f4")
-    tensors = {name: _tensor(name, described[name], files, dtype) for name in TENSORS}
+    tensors = {name: _tensor(name, dictionary[name], files, dtype) for name in TENSORS}
     return check(Weights(tensors, hole_test="paper"))
 
 

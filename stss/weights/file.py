@@ -111,10 +111,10 @@ def _read(path: Path) -> tuple[Weights, dict[str, str]]:
         with safe_open(path, "numpy") as file:
             metadata = dict(file.metadata() or {})
             try:
-                described = take_format(metadata)
+                choices = take_format(metadata)
             except WeightsError as error:
                 raise InputError(f"{path}: {error}") from error
-            return check(replace(described, tensors=_tensors(file))), metadata
+            return check(replace(choices, tensors=_tensors(file))), metadata
     except SafetensorError as error:
         raise InputError(f"{path}: damaged safetensors file ({error})") from error
     except OSError as error:

@@ -240,8 +240,8 @@ class Outgoing:
         if self._on_device or self._device.is_cpu or self._arriving is not None:
             return
         queue = staging(self._device).downloads
-        launched = so_far(self._device.queue)
-        self._arriving = cl.enqueue_copy(queue, self.array, self.data, is_blocking=False, wait_for=[launched])
+        event = so_far(self._device.queue)
+        self._arriving = cl.enqueue_copy(queue, self.array, self.data, is_blocking=False, wait_for=[event])
         queue.flush()
 
     def renew(self) -> None:
@@ -258,7 +258,7 @@ class Outgoing:
             self._arriving.wait()
             return self.array
         # Only mapping makes the device's writes visible in the host's memory.
-        mapped, _ = cl.enqueue_map_buffer(self._device.queue, self.data, cl.map_flags.READ, 0, self.array.shape, self.array.dtype)
-        mapped.base.release(self._device.queue)
+        view, _ = cl.enqueue_map_buffer(self._device.queue, self.data, cl.map_flags.READ, 0, self.array.shape, self.array.dtype)
+        view.base.release(self._device.queue)
         self._device.queue.finish()
         return self.array

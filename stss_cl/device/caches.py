@@ -29,10 +29,10 @@ def home() -> Path:
     Raises:
         DeviceError: there is no place for a temporary folder either.
     """
-    named = os.environ.get("XDG_CACHE_HOME", "")
+    home = os.environ.get("XDG_CACHE_HOME", "")
     try:
         # A relative path counts as unset (XDG Base Directory Specification): it would follow the working directory.
-        folder = Path(named) if Path(named).is_absolute() else _user_home() / ".cache"
+        folder = Path(home) if Path(home).is_absolute() else _user_home() / ".cache"
         _make(folder)
         folder = folder.resolve(strict=True)
         return folder if _serves(folder) else temporary_folder()

@@ -211,8 +211,8 @@ def is_gpu(handle: cl.Device) -> bool:
     return bool(handle.type & cl.device_type.GPU) and not handle.type & cl.device_type.CPU
 
 
-def _class_of(handle: cl.Device, named: str | None) -> DeviceClass:
-    what, word = ("device_class", named) if named is not None else ("STSS_DEVICE_CLASS", os.environ.get("STSS_DEVICE_CLASS"))
+def _class_of(handle: cl.Device, choice: str | None) -> DeviceClass:
+    what, word = ("device_class", choice) if choice is not None else ("STSS_DEVICE_CLASS", os.environ.get("STSS_DEVICE_CLASS"))
     if word is None:
         return "cpu" if handle.type & cl.device_type.CPU else "gpu"
     for each in CLASSES:

@@ -52,12 +52,12 @@ def mend(folder: Path) -> None:
     would take seconds. This process adds its own files to the list at its end. It does not touch files that another process may be
     writing: PoCL ends a process whose file disappears while it links.
     """
-    used, now = _is_used(folder), time.time()
-    listed, files = _read(folder), dict[str, FileRecord]()
+    is_used, now = _is_used(folder), time.time()
+    records, files = _read(folder), dict[str, FileRecord]()
     boot = (read(BOOT, 64) or b"").decode()
     whole, damaged = 0, 0
     for name, entry in _files(folder):
-        record, state = listed.get(name), _state(entry, boot)
+        record, state = records.get(name), _state(entry, boot)
         if record is not None and record.state == state != "-":
             files[name] = record
             continue
@@ -66,29 +66,29 @@ def mend(folder: Path) -> None:
             files[name] = FileRecord(record.digest, state)
         elif record is None and is_whole(Path(name).suffix, data):
             whole += 1
-        elif not (used and _write_time(entry) > now - YOUNG):
+        elif not (is_used and _write_time(entry) > now - YOUNG):
             Path(entry.path).unlink(missing_ok=True)
             damaged += 1
     if damaged:
         total = damaged + whole + len(files)
         echo(f"kernel cache {folder}: {damaged} of {total} files are damaged and are built again", err=True)
-    if listed != files:
+    if records != files:
         _write(folder, files)
     atexit.register(partial(_remember, folder, set(files), boot))
 
 
 def _is_used(folder: Path) -> bool:
     """Whether another process uses the cache; from now on this one does, too. False if there are no locks."""
-    used = False
+    is_used = False
     with suppress(OSError):
         if fcntl is not None:
             lock = _lock(folder)
             try:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
-                used = True
+                is_used = True
             fcntl.flock(lock, fcntl.LOCK_SH)
-    return used
+    return is_used
 
 
 @cache
@@ -137,11 +137,11 @@ def _object_ends(data: bytes) -> bool:
     return 0 < sections + size * number <= len(data)
 
 
-def _remember(folder: Path, listed: set[str], boot: str) -> None:
+def _remember(folder: Path, records: set[str], boot: str) -> None:
     """Add new files to the list, which another process may have changed."""
     new: dict[str, FileRecord] = {}
     for name, entry in _files(folder):
-        if name not in listed:
+        if name not in records:
             state = _state(entry, boot)
             data = read(Path(entry.path), MOST_BYTES)
             if data and is_whole(Path(name).suffix, data):

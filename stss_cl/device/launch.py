@@ -41,10 +41,10 @@ class Kernel:
         self._places: dict[str, tuple[int, str]] = {}
         self._members: dict[str, tuple[int, str]] = {}
         self._structs: dict[int, tuple[str, dict[str, float]]] = {}
-        declared = program.arguments(name)
-        if len(declared) != self._kernel.num_args:
-            raise TypeError(f"kernel {name}: it takes {self._kernel.num_args} arguments, read {len(declared)} in its source")
-        for place, (argument, kind) in enumerate(declared):
+        signature = program.arguments(name)
+        if len(signature) != self._kernel.num_args:
+            raise TypeError(f"kernel {name}: it takes {self._kernel.num_args} arguments, read {len(signature)} in its source")
+        for place, (argument, kind) in enumerate(signature):
             members = program.structs.get(kind)
             if members is None:
                 self._places[argument] = place, kind

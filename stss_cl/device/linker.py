@@ -46,14 +46,14 @@ def provide() -> None:
 
 def is_needed() -> bool:
     """Whether PoCL could not link: ``ld``, or a file that it needs, is not there; ``$STSS_LINKER`` decides otherwise."""
-    named = os.environ.get("STSS_LINKER")
-    if named not in (None, *CHOICES):
-        raise DeviceError(f"STSS_LINKER: expected one of {', '.join(CHOICES)}, got {named!r}")
-    if named is not None:
-        return named == "own"
+    choice = os.environ.get("STSS_LINKER")
+    if choice not in (None, *CHOICES):
+        raise DeviceError(f"STSS_LINKER: expected one of {', '.join(CHOICES)}, got {choice!r}")
+    if choice is not None:
+        return choice == "own"
     # Where PATH is not set, as in some cron jobs, Python looks in the system's folders, but PoCL nowhere.
-    found = shutil.which("ld", path=os.environ.get("PATH", ""))
-    return possible() and (found is None or not _there(COMPILERS, "libgcc.a") or not _there(LIBRARIES, "libc.so", "libc.a"))
+    linker = shutil.which("ld", path=os.environ.get("PATH", ""))
+    return possible() and (linker is None or not _there(COMPILERS, "libgcc.a") or not _there(LIBRARIES, "libc.so", "libc.a"))
 
 
 def possible() -> bool:

@@ -38,8 +38,8 @@ def trial(there: bool) -> Generator[None]:
 
 def may_have(device: Properties) -> bool:
     """Whether the device may have matrix units: NVIDIA's GPUs; processors emulate them."""
-    tried = _trial.get()
-    return device.maker == "nvidia" or not device.is_gpu if tried is None else tried
+    trial = _trial.get()
+    return device.maker == "nvidia" or not device.is_gpu if trial is None else trial
 
 
 def are_emulated(device: Device) -> bool:

@@ -44,25 +44,25 @@ class Staging:
     def write(self, buffer: cl.Buffer, array: NDArray[Any], queue: cl.CommandQueue | None = None) -> None:
         """Enqueue a copy of ``array`` to ``buffer``; ``array`` may be written to at once. Without ``queue``: in the device's queue."""
         copying, self._copying = self._copying, []
-        for event, locked in copying:
+        for event, block in copying:
             if event.command_execution_status == cl.command_execution_status.COMPLETE:
-                self._give_back(locked)
+                self._give_back(block)
             else:
-                self._copying.append((event, locked))  # dropping an event would wait for its end
-        locked = self._take(array.nbytes)
-        np.copyto(locked[: array.nbytes].view(array.dtype).reshape(array.shape), array)
+                self._copying.append((event, block))  # dropping an event would wait for its end
+        block = self._take(array.nbytes)
+        np.copyto(block[: array.nbytes].view(array.dtype).reshape(array.shape), array)
         where = self._queue if queue is None else queue
-        self._copying.append((cl.enqueue_copy(where, buffer, locked[: array.nbytes], is_blocking=False), locked))
+        self._copying.append((cl.enqueue_copy(where, buffer, block[: array.nbytes], is_blocking=False), block))
         where.flush()  # the device begins while the next array is brought into page-locked memory
 
     def array(self, shape: tuple[int, ...], dtype: np.dtype[Any]) -> NDArray[Any]:
         """Page-locked memory for the caller; it is reused once the caller has dropped it and all its views."""
         count = math.prod(shape)
-        locked = self._take(dtype.itemsize * count)
-        memory: Any = locked
+        block = self._take(dtype.itemsize * count)
+        memory: Any = block
         array = np.frombuffer(memoryview(memory), dtype, count).reshape(shape)
         whole: Any = array.base
-        weakref.finalize(whole, self._give_back, locked).atexit = False
+        weakref.finalize(whole, self._give_back, block).atexit = False
         return array
 
     def _take(self, size: int) -> NDArray[np.uint8]:
@@ -74,10 +74,10 @@ class Staging:
         bytes_: Any = np.uint8
         return cl.enqueue_map_buffer(self._mapping, buffer, how, 0, (size,), bytes_)[0]
 
-    def _give_back(self, locked: NDArray[np.uint8]) -> None:
-        free = self._free[locked.nbytes]
+    def _give_back(self, block: NDArray[np.uint8]) -> None:
+        free = self._free[block.nbytes]
         if len(free) < MOST_FREE:
-            free.append(locked)
+            free.append(block)
 
 
 _by_context: WeakKeyDictionary[cl.Context, Staging] = WeakKeyDictionary()

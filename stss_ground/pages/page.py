@@ -100,5 +100,5 @@ def folded(summary: str, html: str) -> str:
 
 def definitions(summary: str, terms: Sequence[tuple[str, str]]) -> str:
     """Make a list of terms and their meanings, which opens at a click."""
-    listed = "".join(f"<dt>{escape(term)}</dt><dd>{escape(meaning)}</dd>" for term, meaning in terms)
-    return folded(summary, f"<dl>{listed}</dl>")
+    items = "".join(f"<dt>{escape(term)}</dt><dd>{escape(meaning)}</dd>" for term, meaning in terms)
+    return folded(summary, f"<dl>{items}</dl>")

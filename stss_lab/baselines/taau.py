@@ -67,8 +67,8 @@ class Taau:
             at = follow(_nearest(2 * motion, offset))
             before = catmull_rom(self._shown, at.x + at.fx, at.y + at.fy)  # a sum in float64
             # Where the newest of the earlier colour frames shows the same surface.
-            seen = (prepared.history[1, ..., 3] if inputs.steps[0] == 0 else prepared.mask) != 0
-            keep = (leads_inside(at) & (_nearest(seen, offset) | self._jittered))[..., None]
+            visible = (prepared.history[1, ..., 3] if inputs.steps[0] == 0 else prepared.mask) != 0
+            keep = (leads_inside(at) & (_nearest(visible, offset) | self._jittered))[..., None]
             history = np.clip(before[..., :3], low, high)
             count = np.where(keep, np.clip(before[..., 3:], 0, MOST - 1) + 1, 1)
             share = np.where(keep, np.maximum(_trust(image.shape[:2], offset)[..., None] / count, 1 / MOST), 1)

@@ -113,8 +113,8 @@ class Trials:
 
     def totals(self, kind: type[Sizes], shapes: Sequence[LayerShape]) -> dict[Sizes, float]:
         """The totals of all timed sizes of this kind."""
-        tried = dict.fromkeys(c for shape in shapes for c in self.times[shape] if isinstance(c, kind))
-        return {sizes: self.total(sizes, shapes) for sizes in tried}
+        candidates = dict.fromkeys(c for shape in shapes for c in self.times[shape] if isinstance(c, kind))
+        return {sizes: self.total(sizes, shapes) for sizes in candidates}
 
 
 def winograd_candidates(device: Properties, outputs: int) -> list[Winograd]:

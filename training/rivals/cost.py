@@ -81,8 +81,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
             if engine == options.engines[0]:
                 with FlopCounterMode(display=False) as counter:
                     network(*inputs)
-                counted = f"{parameters / 1e6:.3f} M parameters, {counter.get_total_flops() / 2e9:.2f} G multiply-adds"
-                sys.stdout.write(f"{size} {row}: {counted}\n")
+                cost = f"{parameters / 1e6:.3f} M parameters, {counter.get_total_flops() / 2e9:.2f} G multiply-adds"
+                sys.stdout.write(f"{size} {row}: {cost}\n")
             runs[row] = runner(engine, network, inputs, options.threads)
         times: dict[str, list[tuple[float, float]]] = {row: [] for row in runs}
         for _ in range(options.repeat + 1):
