@@ -16,6 +16,7 @@ import numpy as np
 from stss_ground.errors import InputError
 from stss_ref.arrays import Array
 from stss_ref.constants import HOLE_FILLS, HoleFill
+from stss_ref.weights import Weights
 from training.augment import MASK, MOTION, Augment, Batch, augment, collate, crop, mask_at_random
 from training.samples import NOWHERE
 
@@ -48,11 +49,12 @@ class StoredSample:
     index: int
 
 
-def load_shards(folder: Path) -> list[Shard]:
-    """Every complete shard below ``folder``, sorted by name.
+def load_shards(folder: Path, weights: Weights | None = None) -> list[Shard]:
+    """Every complete shard below ``folder``, sorted by name, for ``weights`` that read them.
 
     Raises:
-        InputError: there is no shard, one scene is in two splits, or holes were filled by more than one stage.
+        InputError: there is no shard, one scene is in two splits, or holes were filled by more than one stage or by another than
+            ``weights`` name.
     """
     shards: list[Shard] = []
     for path in sorted(folder.rglob("index.json")):
@@ -67,6 +69,10 @@ def load_shards(folder: Path) -> list[Shard]:
         raise InputError(f"{folder}: no samples; python -m training.samples makes them")
     if len(fills := {shard.hole_fill for shard in shards}) > 1:
         raise InputError(f"{folder}: expected samples of one --hole-fill, found {' and '.join(sorted(fills))}")
+    if weights is not None and fills != {weights.hole_fill}:
+        raise InputError(
+            f"{folder}: expected samples of --hole-fill {weights.hole_fill}, as the weights say; found {fills.pop()}"
+        )
     splits: dict[str, str] = {}
     for shard in shards:
         if splits.setdefault(shard.scene, shard.split) != shard.split:

@@ -64,7 +64,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = parser.parse_args(arguments)
     require_places({"--out": options.out}, [options.data, Path(options.weights)])
     loaded = load(options.weights)
-    pruned = prune(loaded.weights, mean_below(loaded.weights, load_shards(options.data)))
+    pruned = prune(loaded.weights, mean_below(loaded.weights, load_shards(options.data, loaded.weights)))
     save(options.out, pruned, {"pruned": "below half size", "average_of": json.dumps([dict(loaded.metadata)])})
 
 

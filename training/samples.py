@@ -252,7 +252,8 @@ def write_film(seed: int, inputs: str, size: tuple[int, int], hole_fill: HoleFil
     """Write the shard of the analytic film number ``seed``, unless it exists. Returns a line to print."""
     film = random_film(seed, inputs)
     scene, name = film.scene.name, f"{film.scene.name}-{inputs}"
-    if (out / name / "index.json").exists():
+    index = out / name / "index.json"
+    if index.exists() and json.loads(index.read_text()).get("hole_fill", HOLE_FILLS[0]) == hole_fill:
         return f"{name}: there"
     return f"{name}: {write(out / name, scene, split_of(scene), hole_fill, film_samples(film, size, hole_fill))} samples"
 

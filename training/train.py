@@ -269,8 +269,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         for path in filter(Path.exists, (args.out / name for name in WRITTEN)):
             require_places({"--out": path}, [Path(args.initial)])
     device = torch.device(args.device)
-    shards = load_shards(args.data)
-    before = "newest" if args.initial is None else load(args.initial).weights.second_color
+    initial = None if args.initial is None else load(args.initial).weights
+    shards = load_shards(args.data, initial)
     half = args.half == "on" or (args.half == "auto" and device.type == "cuda")
     settings = Settings(
         args.crop,
@@ -289,7 +289,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         holes=args.holes,
         augment=args.augment,
         compiled=args.compile,
-        second_color=args.second_color or before,
+        second_color=args.second_color or ("newest" if initial is None else initial.second_color),
         hole_fill=shards[0].hole_fill,
         steady=args.steady,
     )

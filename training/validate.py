@@ -80,15 +80,18 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """``python -m training.validate``."""
     parser = argparse.ArgumentParser(prog="python -m training.validate", description=__doc__)
     parser.add_argument("data", type=Path)
-    parser.add_argument("--weights", default="bilinear", help="safetensors file")
+    parser.add_argument("--weights", help="safetensors file, or the name of a set; default: bilinear alone")
     parser.add_argument("--split", default="test", choices=("training", "validation", "test"))
     parser.add_argument("--most", type=int, default=10**6, help="frames of each kind")
     options = parser.parse_args(arguments)
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
-    network = Network().to(device)
-    load_weights(network, load(options.weights).weights)
-    shards = load_shards(options.data)
-    for name, model in (("bilinear", bilinear), (options.weights, network)):
+    named: str | None = options.weights
+    weights, models = None if named is None else load(named).weights, dict[str, Model](bilinear=bilinear)
+    shards = load_shards(options.data, weights)
+    if named is not None and weights is not None:
+        models[named] = network = Network().to(device)
+        load_weights(network, weights)
+    for name, model in models.items():
         means = validate(model, shards, options.split, most=options.most, device=device)
         sys.stdout.write(f"{name}: {json.dumps(means)}\n")
 

@@ -194,6 +194,13 @@ def test_a_shard_is_whole_or_not_there(tmp_path):
     assert [path.name for path in tmp_path.iterdir() if not path.name.startswith(".")] == ["one"]
 
 
+def test_a_film_of_another_fill_is_made_again(tmp_path, capsys):
+    words = ["-o", str(tmp_path), "--analytic", "1", "--size", "32x24", "--hole-fill"]
+    for fill, count in (("occlusion_warp", "8 samples"), ("occlusion_warp", "there"), ("reshade", "8 samples")):
+        module.main([*words, fill])
+        assert capsys.readouterr().out.endswith(f": {count}\n")
+
+
 def test_a_shard_replaces_nothing_else(tmp_path):
     """By default it has the name of the folder above LR, where the renders are."""
     films = tmp_path / "films"

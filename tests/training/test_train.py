@@ -1,6 +1,7 @@
 """A short run, and one that is stopped and resumed."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,8 +18,10 @@ torch.set_num_threads(1)
 
 from training.average import main as average  # noqa: E402
 from training.data import Batches, load_shards, pairs  # noqa: E402
+from training.prune import main as prune  # noqa: E402
 from training.step import Aims, advance, objective  # noqa: E402
 from training.train import Settings, keep, main, rate_at, start  # noqa: E402
+from training.validate import main as validate  # noqa: E402
 from training.validate import tensors  # noqa: E402
 
 
@@ -45,6 +48,19 @@ def test_the_log_begins_with_the_weights_that_it_starts_from(data, tmp_path):
     last = json.loads((tmp_path / "first" / "log.jsonl").read_text().splitlines()[-1])["validation"]
     assert first["step"] == 0
     assert {name: first["initial"][name] for name in ("SF", "EF")} == pytest.approx({n: last[n] for n in ("SF", "EF")}, abs=1e-3)
+
+
+def test_samples_have_the_fill_that_the_weights_name(data, tmp_path):
+    """Else weights trained further would lose `reshade`, and a measurement would be of other inputs than the program's."""
+    weights = tmp_path / "reshade.safetensors"
+    save(weights, replace(random(0), hole_fill="reshade"), {})
+    before = ["--device", "cpu", "--initial", str(weights)]
+    words = {main: ["-o", str(tmp_path / "run"), *before], prune: ["-o", str(tmp_path / "p.safetensors"), "--weights", str(weights)],
+             validate: ["--weights", str(weights), "--split", "validation"]}  # fmt: skip
+    for program, more in words.items():
+        with pytest.raises(InputError, match="expected samples of --hole-fill reshade, as the weights say; found occlusion_warp"):
+            program([str(data), *more])
+    assert [path.name for path in tmp_path.iterdir()] == ["reshade.safetensors"]
 
 
 def test_a_resumed_run_is_the_same_run(data, tmp_path, monkeypatch):
