@@ -28,6 +28,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     loaded = [load(name) for name in options.weights]
     for what, choices in (
         ("second colour", {each.weights.second_color for each in loaded}),
+        ("hole test", {each.weights.hole_test for each in loaded}),
         ("hole fill", {each.weights.hole_fill for each in loaded}),
     ):
         if len(choices) > 1:

@@ -6,6 +6,8 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 
+import click
+
 from stss_ground.errors import InputError
 from stss_ref.arrays import ArrayError
 from stss_ref.weights import WeightsError
@@ -18,5 +20,8 @@ def command(main: Callable[[], None]) -> None:
     except (InputError, ArrayError, WeightsError) as error:
         sys.stderr.write(f"{error}\n")
         sys.exit(2)
-    except KeyboardInterrupt:
+    except click.ClickException as error:
+        error.show()
+        sys.exit(error.exit_code)
+    except (KeyboardInterrupt, click.Abort):
         sys.exit(130)

@@ -9,12 +9,10 @@ display frame before, in pixels; it is NOWHERE where the surface is not seen the
 
 from __future__ import annotations
 
-import argparse
 import hashlib
 import json
 import os
 import shutil
-import sys
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -22,19 +20,25 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
+import click
 import numpy as np
 from numpy.typing import NDArray
 
 from conformance.scenes import render
+from stss.cli.options import MAX_COUNT, sequence_options
 from stss.frames.buffers import Buffers
 from stss.frames.display_frame import WINDOW, DisplayFrame, frame_inputs, prepare, window_at
 from stss.frames.output import plan
 from stss.images.color import transfer
-from stss.images.read_write import read_rgb
+from stss.images.headers import MAX_SIDE
+from stss.quality.output_and_truth import find_images, read_shown, require_size
+from stss.run.options import RunOptions
 from stss.sequence.conventions import BACKGROUND_POSITION
-from stss.sequence.find_files import numbered_files
-from stss.sequence.reader import open_sequence
+from stss.sequence.reader import SequenceOptions
+from stss_ground.commands import Subcommand
 from stss_ground.errors import InputError
+from stss_ground.option_kinds import ReadPath, Size, WrittenFolder
+from stss_ground.terminal import echo
 from stss_ref.arrays import Array, Image
 from stss_ref.constants import HOLE_FILLS, HoleFill
 from stss_ref.frame import FrameInputs, NetworkInputs
@@ -164,29 +168,22 @@ def film_samples(film: Film, size: tuple[int, int], hole_fill: HoleFill) -> Iter
     return samples(frames, truths, hole_fill)
 
 
-def sequence_samples(low: Path, high: Path, profile: str | None, camera: Path | None, hole_fill: HoleFill) -> Iterator[Sample]:
-    """The samples of a renderer's sequence: frames that have a truth, within runs of consecutive frames."""
-    sequence, curve = open_sequence(low, profile, camera=camera), transfer("srgb")
-    truths = number_files(high)
+def sequence_samples(low: Path, high: Path, reading: SequenceOptions, hole_fill: HoleFill) -> Iterator[Sample]:
+    """The samples of a renderer's sequence: frames that have a truth, within runs of consecutive frames; as ``stss run`` reads them."""
+    sequence = reading.open(low)
+    usual = RunOptions.of(sequence.profile, transfer=None, depth=None)
+    curve, truths = transfer(usual.transfer), find_images(high)
     window: list[DisplayFrame] = []
     for number in sequence.numbers:
         if number not in sequence.rendered:
             raise InputError(f"{low}: frame {number} has no colour; training needs the colour of every frame")
         if window and number != window[-1].number + 1:
             window.clear()
-        window = [*window[1 - WINDOW :], prepare(sequence.load(number), curve, "scale")]
+        window = [*window[1 - WINDOW :], prepare(sequence.load(number), curve, usual.depth)]
         if number in truths:
-            truth = curve.encode(read_rgb(truths[number]))
-            expected = (2 * sequence.size[0], 2 * sequence.size[1], 3)
-            if truth.shape != expected:
-                raise InputError(f"{truths[number]}: expected {expected}, got {truth.shape}")
+            truth = read_shown(truths[number], curve, reading.non_finite)
+            require_size(truths[number], truth, low, (2 * sequence.size[0], 2 * sequence.size[1]))
             yield from samples(window, {number: truth}, hole_fill)
-
-
-def number_files(folder: Path) -> dict[int, Path]:
-    """The EXR and PNG files of a folder by the last number in their names."""
-    paths = sorted(p for p in folder.iterdir() if p.suffix.lower() in (".exr", ".png"))
-    return {file.number: file.path for file in numbered_files(paths)}
 
 
 def split_of(scene: str) -> str:
@@ -249,52 +246,74 @@ def write(
 
 
 def write_film(seed: int, inputs: str, size: tuple[int, int], hole_fill: HoleFill, out: Path) -> str:
-    """Write the shard of the analytic film number ``seed``, unless it exists. Returns a line to print."""
+    """Write the shard of the analytic film number ``seed``, unless it exists in this size and fill. Returns a line to print."""
     film = random_film(seed, inputs)
     scene, name = film.scene.name, f"{film.scene.name}-{inputs}"
-    index = out / name / "index.json"
-    if index.exists() and json.loads(index.read_text()).get("hole_fill", HOLE_FILLS[0]) == hole_fill:
-        return f"{name}: there"
+    if (index := out / name / "index.json").exists():
+        fill, shape = (
+            json.loads(index.read_text()).get("hole_fill", HOLE_FILLS[0]),
+            np.load(out / name / "inputs.npy", mmap_mode="r").shape,
+        )
+        if (fill, shape[1:3]) == (hole_fill, size):
+            return f"{name}: there"
     return f"{name}: {write(out / name, scene, split_of(scene), hole_fill, film_samples(film, size, hole_fill))} samples"
+
+
+@click.command(cls=Subcommand, help=__doc__.splitlines()[0] if __doc__ else None)
+@click.option("-o", "--out", type=WrittenFolder(), required=True, help="Folder of the shards.")
+@click.option("--analytic", type=click.IntRange(0, MAX_COUNT), default=0, metavar="N", help="Make N random analytic films.")
+@click.option("--first", type=click.IntRange(0), default=0, help="Number of the first film.")
+@click.option(
+    "--inputs", type=click.Choice(list(INPUTS)), default="aliased", help="The films' inputs that are means over the pixel."
+)
+@click.option("--size", type=Size(MAX_SIDE), default="160x96", show_default=True, help="Size of the films' small frames.")
+@click.option("--jobs", type=click.IntRange(1), default=1, help="Processes.")
+@click.option(
+    "--hole-fill",
+    type=click.Choice(HOLE_FILLS),
+    default=HOLE_FILLS[0],
+    show_default=True,
+    help="The stage that fills the holes; that of the weights that the run starts from, reshade for realtime.",
+)
+@click.option("--sequence", nargs=2, type=ReadPath(), metavar="LR HR", help="Frames of a renderer and their truth.")
+@click.option("--name", help="Name of the shard  [default: that of the folder above LR]")
+@click.option("--scene", help="Sequences of one scene go into one split  [default: the name]")
+@click.option("--split", type=click.Choice(SPLITS), help="The shard's split  [default: drawn from the scene's name, 8 : 1 : 1]")
+@sequence_options
+def make(
+    out: Path,
+    analytic: int,
+    first: int,
+    inputs: str,
+    size: tuple[int, int],
+    jobs: int,
+    hole_fill: HoleFill,
+    sequence: tuple[Path, Path] | None,
+    name: str | None,
+    scene: str | None,
+    split: str | None,
+    reading: SequenceOptions,
+) -> None:
+    """``python -m training.samples``."""
+    out.mkdir(parents=True, exist_ok=True)
+    if sequence:
+        low, high = sequence
+        name = name or low.resolve().parent.name
+        if name in ("", ".", "..") or not {"/", "\\"}.isdisjoint(name):
+            raise InputError(f"--name {name}: expected the name of a folder, without separators")
+        scene = scene or name
+        film = sequence_samples(low, high, reading, hole_fill)
+        echo(f"{name}: {write(out / name, scene, split or split_of(scene), hole_fill, film, [low, high])} samples")
+    if analytic:
+        work = partial(write_film, inputs=inputs, size=size, hole_fill=hole_fill, out=out)
+        with ProcessPoolExecutor(jobs) as pool:
+            for line in pool.map(work, range(first, first + analytic)):
+                echo(line)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """``python -m training.samples``."""
-    parser = argparse.ArgumentParser(prog="python -m training.samples", description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("-o", "--out", type=Path, required=True, help="folder of the shards")
-    parser.add_argument("--analytic", type=int, metavar="N", help="make N random analytic films")
-    parser.add_argument("--first", type=int, default=0, help="number of the first film")
-    parser.add_argument(
-        "--inputs", choices=tuple(INPUTS), default="aliased", help="the inputs of the films that are means over the pixel"
-    )
-    parser.add_argument("--size", default="160x96", help="WxH of the films' small frames")
-    parser.add_argument("--jobs", type=int, default=1, help="processes")
-    parser.add_argument("--hole-fill", choices=HOLE_FILLS, default=HOLE_FILLS[0], help="the stage that fills the holes")
-    parser.add_argument("--sequence", nargs=2, type=Path, metavar=("LR", "HR"), help="frames of a renderer and their truth")
-    parser.add_argument("--profile", help="the renderer's conventions; default: the profile that fits the channels' names")
-    parser.add_argument("--camera", type=Path)
-    parser.add_argument("--name", help="name of the shard; default: that of the folder above LR")
-    parser.add_argument("--scene", help="sequences of one scene go into one split; default: the name")
-    parser.add_argument("--split", choices=SPLITS, help="the shard's split; default: drawn from the scene's name, 8 : 1 : 1")
-    options = parser.parse_args(arguments)
-    options.out.mkdir(parents=True, exist_ok=True)
-    if options.sequence:
-        low, high = options.sequence
-        name = options.name or low.resolve().parent.name
-        if name in ("", ".", "..") or not {"/", "\\"}.isdisjoint(name):
-            raise InputError(f"--name {name}: expected the name of a folder, without separators")
-        scene = options.scene or name
-        film = sequence_samples(low, high, options.profile, options.camera, options.hole_fill)
-        count = write(options.out / name, scene, options.split or split_of(scene), options.hole_fill, film, [low, high])
-        sys.stdout.write(f"{name}: {count} samples\n")
-    if options.analytic:
-        width, height = (int(v) for v in options.size.split("x"))
-        work = partial(write_film, inputs=options.inputs, size=(height, width), hole_fill=options.hole_fill, out=options.out)
-        seeds = range(options.first, options.first + options.analytic)
-        with ProcessPoolExecutor(options.jobs) as pool:
-            for line in pool.map(work, seeds):
-                sys.stdout.write(line + "\n")
-                sys.stdout.flush()
+    make.main(arguments, prog_name="python -m training.samples", standalone_mode=False)
 
 
 if __name__ == "__main__":

@@ -16,6 +16,7 @@ from torch import Tensor
 from stss.quality.metrics import mean_scores, score, upsample_holes
 from stss.weights.file import load
 from stss_ground.errors import InputError
+from stss_ref.constants import HOLE_TESTS
 from training.augment import Batch
 from training.command import command
 from training.data import KINDS, Shard, StoredSample, load_shards, places, spread, whole
@@ -89,6 +90,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     weights, models = None if named is None else load(named).weights, dict[str, Model](bilinear=bilinear)
     shards = load_shards(options.data, weights)
     if named is not None and weights is not None:
+        if weights.hole_test != HOLE_TESTS[0]:
+            found = f"expected weights with the hole test {HOLE_TESTS[0]}, as the samples have it, found {weights.hole_test}"
+            raise InputError(f"{named}: {found}; stss methods measures them")
         models[named] = network = Network().to(device)
         load_weights(network, weights)
     for name, model in models.items():

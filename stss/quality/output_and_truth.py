@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stss.images.color import TRANSFERS, chromaticities, same_primaries, transfer
+from stss.images.color import TRANSFERS, Transfer, chromaticities, same_primaries, transfer
 from stss.images.headers import Value
 from stss.images.read_write import read_header, read_rgb
 from stss.sequence.find_files import numbered_files
@@ -57,22 +57,26 @@ class Pair:
             InputError: sizes differ, or a value is not finite and is not to be masked.
         """
         curve = transfer(self.transfer or FALLBACK)
-        image, truth = (
-            curve.display(self._finite(path, read_rgb(path))) if path.suffix.lower() == ".exr" else read_rgb(path)
-            for path in (self.output, self.truth)
-        )
+        image, truth = (read_shown(path, curve, self.non_finite) for path in (self.output, self.truth))
         require_size(self.truth, truth, self.output, image.shape[:2])
         return image, truth
 
-    def _finite(self, path: Path, image: Image) -> Image:
-        bad = ~np.isfinite(image)
-        if not bad.any():
-            return image
-        if self.non_finite == "refuse":
-            y, x, channel = np.argwhere(bad)[0]
-            problem = f"{int(bad.sum())} non-finite values, first in {'RGB'[channel]} at (y={y}, x={x})"
-            raise InputError(f"{path}: {problem}; --non-finite mask takes them as 0")
-        return np.where(bad, np.float32(0), image)
+
+def read_shown(path: Path, curve: Transfer, non_finite: NonFinite = "refuse") -> Image:
+    """An EXR's or PNG's colours as a screen shows them: (H, W, 3) float32, in [0, 1]. A PNG has such colours.
+
+    Raises:
+        InputError: as `stss.images.read_write.read_rgb`; or a value is not finite and is not to be masked.
+    """
+    image = read_rgb(path)
+    if path.suffix.lower() != ".exr":
+        return image
+    bad = ~np.isfinite(image)
+    if bad.any() and non_finite == "refuse":
+        y, x, channel = np.argwhere(bad)[0]
+        problem = f"{int(bad.sum())} non-finite values, first in {'RGB'[channel]} at (y={y}, x={x})"
+        raise InputError(f"{path}: {problem}; --non-finite mask takes them as 0")
+    return curve.display(np.where(bad, np.float32(0), image))
 
 
 def find_pairs(
@@ -95,12 +99,12 @@ def find_pairs(
     Raises:
         InputError: a folder is not there, the two have no frame in common, or a file cannot be read.
     """
-    outputs, truths = _numbered(out, frames), _numbered(truth, frames)
+    outputs, truths = find_images(out, frames), find_images(truth, frames)
     pairs = {n: _pair(outputs[n], truths[n], non_finite) for n in sorted(outputs.keys() & truths.keys())}
     if holes is not None:
-        run = {n: _kind_and_transfer(path, read_header(path).attributes) for n, path in _numbered(holes, frames).items()}
+        run = {n: _kind_and_transfer(path, read_header(path).attributes) for n, path in find_images(holes, frames).items()}
         is_rendered = run and all(kind == "SF" for kind, _ in run.values())  # every frame: then none has holes
-        masks = {} if is_rendered else _numbered(holes / "holes", frames)
+        masks = {} if is_rendered else find_images(holes / "holes", frames)
         pairs = {n: _as_in_run(pair, *run.get(n, (None, None)), masks.get(n)) for n, pair in pairs.items()}
     for folder, images in ((out, outputs), (truth, truths)):
         if not images and frames is None:
@@ -132,8 +136,12 @@ def list_numbers(numbers: Iterable[int]) -> str:
     return ("frames " if several else "frame ") + ", ".join(f"{a} to {b}" if a < b else str(a) for a, b in runs)
 
 
-def _numbered(folder: Path, frames: tuple[int, int] | None) -> dict[int, Path]:
-    """Images by frame number: the last digits of the name without its suffix."""
+def find_images(folder: Path, frames: tuple[int, int] | None = None) -> dict[int, Path]:
+    """EXR and PNG files by frame number: the last digits of the name without its suffix.
+
+    Raises:
+        InputError: there is no such folder, or a number appears twice.
+    """
     if not folder.is_dir():
         raise InputError(f"{folder}: " + ("expected a folder, found a file" if folder.exists() else "no such folder"))
     files: dict[int, Path] = {}

@@ -2,13 +2,14 @@
 
 import json
 
+import click
 import numpy as np
 import pytest
 
 from conformance.scenes import SCENES
 from stss.frames.display_frame import OnArrays, prepare
 from stss.frames.supersampler import Supersampler
-from stss.images.read_write import write_channels
+from stss.images.read_write import write_channels, write_rgb
 from stss_ground.errors import InputError
 from stss_ref.constants import HOLE_FILLS
 from stss_ref.detail import LUMA
@@ -194,11 +195,13 @@ def test_a_shard_is_whole_or_not_there(tmp_path):
     assert [path.name for path in tmp_path.iterdir() if not path.name.startswith(".")] == ["one"]
 
 
-def test_a_film_of_another_fill_is_made_again(tmp_path, capsys):
+def test_a_film_of_another_fill_or_size_is_made_again(tmp_path, capsys):
     words = ["-o", str(tmp_path), "--analytic", "1", "--size", "32x24", "--hole-fill"]
     for fill, count in (("occlusion_warp", "8 samples"), ("occlusion_warp", "there"), ("reshade", "8 samples")):
         module.main([*words, fill])
         assert capsys.readouterr().out.endswith(f": {count}\n")
+    module.main([*words, "reshade", "--size", "24x32"])
+    assert capsys.readouterr().out.endswith(": 8 samples\n")
 
 
 def test_a_shard_replaces_nothing_else(tmp_path):
@@ -237,3 +240,46 @@ def test_the_profile_is_the_one_whose_channels_the_files_have(tmp_path, capsys):
     write_channels(high / "a.0006.exr", {name: np.full((32, 48), 0.5) for name in "RGB"})
     module.main(["-o", str(tmp_path / "out"), "--sequence", str(low), str(high), "--name", "mine"])
     assert capsys.readouterr().out == "mine: 2 samples\n"
+
+
+@pytest.mark.parametrize("domain", ["linear", "display"])
+def test_colours_and_depths_are_those_that_a_run_reads(tmp_path, domain):
+    """By the profile, a truth in PNG as well: display-referred colours got the sRGB curve a second time."""
+    low, high = tmp_path / "lr", tmp_path / "hr"
+    for folder in (low, high):
+        folder.mkdir()
+    half = {name: np.full((16, 24), 0.5) for name in ("R", "G", "B", "depth.Z")}
+    for number in range(6):
+        write_channels(low / f"a.{number:04d}.exr", frame_channels(number, (16, 24)) | half)
+    write_channels(high / "a.0004.exr", {name: np.full((32, 48), 0.5) for name in "RGB"})
+    write_rgb(high / "a.0005.png", np.full((32, 48, 3), 0.25, np.float32))
+    profile = tmp_path / "mine.toml"
+    profile.write_text(f'base = "stss"\ncolor_domain = "{domain}"\ndepth_normalisation = "clip"\n')
+    module.main(["-o", str(tmp_path / "out"), "--sequence", str(low), str(high), "--name", "mine", "--profile", str(profile)])
+    shown = 0.5 if domain == "display" else 0.7354
+    truth, inputs = (np.load(tmp_path / "out" / "mine" / f"{name}.npy") for name in ("truth", "inputs"))
+    index = json.loads((tmp_path / "out" / "mine" / "index.json").read_text())
+    for frame, value in ((4, shown), (5, 0.25)):
+        np.testing.assert_allclose(truth[index["frames"].index(frame)], value, atol=2e-3)
+    first = inputs[index["kinds"].index("SF")]
+    np.testing.assert_allclose(first[..., :3], shown, atol=2e-3)
+    np.testing.assert_allclose(first[..., 6], 0.5, atol=2e-3)
+
+
+def test_options_of_a_run_read_the_sequence(tmp_path):
+    """A check that recommends ``--roughness`` is of no use where the samples do not take it."""
+    low, high = tmp_path / "lr", tmp_path / "hr"
+    for folder in (low, high):
+        folder.mkdir()
+    for number in range(7):
+        channels = frame_channels(number, (16, 24))
+        del channels["roughness.X"]
+        write_channels(low / f"a.{number:04d}.exr", channels)
+    write_channels(high / "a.0006.exr", {name: np.full((32, 48), 0.5) for name in "RGB"})
+    words = ["-o", str(tmp_path / "out"), "--sequence", str(low), str(high), "--name", "mine"]
+    with pytest.raises(InputError, match="no roughness"):
+        module.main(words)
+    module.main([*words, "--roughness", "0.25"])
+    assert (np.load(tmp_path / "out" / "mine" / "inputs.npy")[..., 7] == 0.25).all()
+    with pytest.raises(click.BadParameter):
+        module.main([*words, "--roughness", "2"])

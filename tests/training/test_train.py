@@ -10,7 +10,7 @@ from stss.weights.file import load, save
 from stss_cl.liveness import find_live
 from stss_ground.errors import InputError
 from stss_ref.schedule import FrameKind
-from stss_ref.weights import random
+from stss_ref.weights import Weights, random
 from training.samples import Sample, write
 
 torch = pytest.importorskip("torch", reason="PyTorch is not installed: make test-training")
@@ -81,6 +81,18 @@ def test_a_resumed_run_is_the_same_run(data, tmp_path, monkeypatch):
     assert [{k: v for k, v in r.items() if k != "ms"} for r in whole] == [
         {k: v for k, v in r.items() if k != "ms"} for r in resumed
     ]
+
+
+def test_weights_of_the_other_hole_test_are_trained_and_not_validated(data, tmp_path):
+    """The authors' weights had 3 dB more in EFs by other holes than those of a run of the program."""
+    authors = str(tmp_path / "authors.safetensors")
+    save(authors, Weights(random(0), hole_test="paper"), {})
+    with pytest.raises(InputError, match="hole test footprint, as the samples have it, found paper; stss methods"):
+        validate([str(data), "--weights", authors, "--split", "validation"])
+    with pytest.raises(InputError, match="expected one hole test, found footprint and paper"):
+        average([authors, "antialiased", "-o", str(tmp_path / "mean.safetensors")])
+    run(data, tmp_path / "run", 4, "--initial", authors)
+    validate([str(data), "--weights", str(tmp_path / "run" / "weights.safetensors"), "--split", "validation"])
 
 
 def test_options_reach_the_run(data, tmp_path):
