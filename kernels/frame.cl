@@ -31,8 +31,8 @@
 // work-item has eight pixels in a row, for processors; -D LONGEST if GATHER is gather_longest; -D DETAIL: the second
 // colour is that of detail.clh;
 // -D RESHADE: stage reshade fills the holes.
-// Order: chain_steps, prepare_older for each older frame where the history is read, prepare_newest, splat_nearest,
-// splat_first (with -D RESHADE find_samples), fill_holes; then downsample_8.cl.
+// Order: chain_steps, prepare_newest, prepare_older for each older frame where the history is read, splat_nearest and
+// splat_first (with -D RESHADE find_samples), fill_holes; then downsample_8.cl. A new plane: README.md, Change a kernel.
 // Launch (W, H); prepare_* and fill_holes (C, R); with EIGHT_PIXELS an eighth of the columns.
 #ifdef EIGHT_PIXELS
 #define AT_ONCE 8
@@ -71,7 +71,7 @@ kernel void chain_steps(global const float2 *restrict motion0, global const floa
     for (int x = left; x < least(left + AT_ONCE, width); ++x) chain_pixel(c, x, y);
 }
 
-// Number of pixels of a work-item.
+// The pixels of a work-item.
 INLINE void prepare_pixels(const Frame f)
 {
     const Task s = f.task;

@@ -49,7 +49,7 @@ def holes(
         position_previous, position: (H, W, 3) world position; cm. A non-finite one counts as too far from any other.
         nov: (H, W) dot of normal and view vector; only the paper's test reads it, and depth.
         depth: (H, W) normalised to [0, 1]; likewise.
-        test: the test of static surfaces.
+        test: the test of static surfaces; weights name theirs (`stss_ref.weights.Weights`).
         limits: the constants; None = the specification's.
 
     Returns:

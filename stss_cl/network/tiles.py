@@ -17,7 +17,7 @@ from stss_cl.device.launch import Kernel, Launch
 from stss_cl.device.program import Program, build
 
 SIDE = 4
-"""Side of most tiles; pixels."""
+"""Side of most tiles; pixels. Kernels and change maps count in it: it is no choice of tuning."""
 PIXELS = 256
 """Pixels. On a CPU tiles that step over them share a work-item: most have nothing to do, and each work-item costs something."""
 
