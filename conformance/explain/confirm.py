@@ -63,7 +63,7 @@ def fails(judge: Judge, body: Body, failure: Failure) -> Failure | None:
     """The failure as it is now, after the cases before it, at one start of a program; None: it passes."""
     if judge.abilities.restart is not None:
         judge.abilities.restart()
-    cases = [*failure.before, failure.drawn]
+    cases = [*failure.before, failure.drawn_case]
     error = dict(judge.departures(body, cases)).get(len(cases) - 1)
     return None if error is None else replace(failure, finding=error.finding)
 

@@ -194,7 +194,7 @@ class _Search:
         failure = self._outcome.failure
         finding = replace(failure.finding, terms=(*failure.finding.terms, FORGETS))
         before = tuple(case.inputs(self.model) for case in self._before)
-        self._outcome.failure = Failure(finding, failure.drawn, before)
+        self._outcome.failure = Failure(finding, failure.drawn_case, before)
 
     def check(self, inputs: dict[str, AnyArray], words: str, before: Sequence[dict[str, AnyArray]] = ()) -> None:
         """Judge a case; DepartureError if it is wrong, with the failure in the outcome."""

@@ -69,12 +69,12 @@ class Failure:
 
     Attributes:
         finding: the wrong output.
-        drawn: the property's own case, from which it can be run again.
+        drawn_case: the property's own case, from which it can be run again.
         before: the cases that were checked before it, oldest first; once the failure is confirmed, those that it needs.
     """
 
     finding: Finding
-    drawn: Any
+    drawn_case: Any
     before: tuple[Any, ...] = ()
 
 

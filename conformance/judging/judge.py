@@ -148,7 +148,7 @@ class Judge:
         for group in [dialogues] if self.is_program else [[each] for each in dialogues]:
             waiting: list[tuple[int, Dialogue]] = []
             for number, dialogue in group:
-                if (error := self._advance(dialogue, None)) is not None or not dialogue.asked:
+                if (error := self._advance(dialogue, None)) is not None or not dialogue.questions:
                     yield number, error
                 else:
                     waiting.append((number, dialogue))
@@ -159,7 +159,7 @@ class Judge:
                     if answer is None:
                         continue
                     error = answer if isinstance(answer, DepartureError) else self._advance(dialogue, answer)
-                    if error is not None or not dialogue.asked:
+                    if error is not None or not dialogue.questions:
                         yield number, error
                     else:
                         going.append((number, dialogue))
@@ -167,7 +167,7 @@ class Judge:
 
     def _advance(self, dialogue: Dialogue, answers: Sequence[Outputs] | None) -> DepartureError | None:
         """Let a property go on to its next questions; a wrong answer is of its last question's case, if it names no other."""
-        last = self._case_of(dialogue.asked[-1]) if dialogue.asked else None
+        last = self._case_of(dialogue.questions[-1]) if dialogue.questions else None
         try:
             dialogue.go_on(answers)
         except DepartureError as error:
@@ -179,7 +179,7 @@ class Judge:
             # A fault of the judge: its case is kept like any other failure.
             if last is not None:
                 message = f"judging failed: {type(error).__name__}: {error}"
-                self.record.failure = Failure(Finding(message, last, "", None, None), dialogue.drawn)
+                self.record.failure = Failure(Finding(message, last, "", None, None), dialogue.drawn_case)
             raise
         return None
 
@@ -188,14 +188,14 @@ class Judge:
 
     def _ask(self, dialogues: Sequence[Dialogue]) -> list[list[Outputs] | DepartureError | None]:
         """The port's answers for all waiting cases; a departure in place of a missing one; None if the port was not asked."""
-        questions = [question for dialogue in dialogues for question in repeated(dialogue.asked, self.repeat)]
+        questions = [question for dialogue in dialogues for question in repeated(dialogue.questions, self.repeat)]
         order = sorted(range(len(questions)), key=lambda i: questions[i].again)
         cases = [self._case_of(question) for question in questions]
         answer_of = dict(zip(order, answers_of(self.port, self.abilities, [cases[i] for i in order]), strict=True))
         answers = [self._checked(case, answer_of[i]) for i, case in enumerate(cases)]
         result: list[list[Outputs] | DepartureError | None] = []
         for dialogue in dialogues:
-            count = len(dialogue.asked) * self.repeat
+            count = len(dialogue.questions) * self.repeat
             some, answers = answers[:count], answers[count:]
             result.append(self._together(dialogue, some))
         return result
@@ -208,7 +208,7 @@ class Judge:
         outputs_of = [each for each in answers if isinstance(each, dict)]
         first = outputs_of[:: self.repeat]
         for i, outputs in enumerate(outputs_of):
-            question, right = dialogue.asked[i // self.repeat], first[i // self.repeat]
+            question, right = dialogue.questions[i // self.repeat], first[i // self.repeat]
             for name, array in outputs.items() if i % self.repeat else ():
                 try:
                     self.same(f"{question.stage}.{name}", np.nan_to_num(array), np.nan_to_num(right[name]))

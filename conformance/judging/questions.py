@@ -113,26 +113,26 @@ class Dialogue:
         case: its case.
 
     Attributes:
-        drawn: its case.
-        asked: the questions that it waits for; empty: it has ended.
+        drawn_case: its case.
+        questions: those that it waits for; empty: it has ended.
     """
 
     def __init__(self, talk: Talk, case: Any):
-        self.drawn = case
-        self.asked: tuple[Question, ...] = ()
+        self.drawn_case = case
+        self.questions: tuple[Question, ...] = ()
         self._talk = talk
         self._alone = False
 
     def go_on(self, answers: Sequence[Outputs] | None) -> None:
         """Pass the answers to its question, None to begin. Errors of the property are raised here."""
         value = None if answers is None else answers[0] if self._alone else tuple(answers)
-        self.asked = ()
+        self.questions = ()
         try:
             questions = self._talk.send(value)
         except StopIteration:
             return
         self._alone = isinstance(questions, Question)
-        self.asked = (questions,) if isinstance(questions, Question) else tuple(questions)
+        self.questions = (questions,) if isinstance(questions, Question) else tuple(questions)
 
 
 def repeated(questions: Sequence[Question], times: int) -> list[Question]:

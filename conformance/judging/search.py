@@ -125,7 +125,7 @@ class _Search:
     def __init__(self, judge: Judge, body: Body, right: int | None):
         self.smallest: Failure | None = None
         self._judge, self._body, self._right = judge, body, right
-        self._count, self._failed_at, self._told = 0, 0.0, False
+        self._count, self._failed_at, self._has_told = 0, 0.0, False
 
     def run(self, case: Any) -> None:
         """Check a case; DepartureError if it is wrong."""
@@ -138,7 +138,7 @@ class _Search:
         except DepartureError:
             self._failed_at = self._failed_at or monotonic()
             failure = self._judge.failure()
-            if self.smallest is None or _numbers(failure.drawn) <= _numbers(self.smallest.drawn):
+            if self.smallest is None or _numbers(failure.drawn_case) <= _numbers(self.smallest.drawn_case):
                 self.smallest = failure
             raise
         if self._right is None:
@@ -153,8 +153,8 @@ class _Search:
         seconds = monotonic() - self._failed_at
         if seconds > SHRINK_SECONDS:
             raise EnoughError
-        if seconds > TELL_SECONDS and not self._told:
-            self._told = True
+        if seconds > TELL_SECONDS and not self._has_told:
+            self._has_told = True
             self._judge.tell(self.smallest.finding)
 
 

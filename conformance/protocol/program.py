@@ -31,7 +31,7 @@ class Program:
     Attributes:
         name: the program's name, without its folder.
         stderr: the end of the stderr of the program's last run.
-        kept: the job folder of its last run that failed, if any.
+        kept_job: the job folder of its last run that failed, if any.
     """
 
     def __init__(self, command: Sequence[str], timeout: float):
@@ -43,7 +43,7 @@ class Program:
         """
         self.name = Path(command[0]).name
         self.stderr = ""
-        self.kept: Path | None = None
+        self.kept_job: Path | None = None
         self._command = list(command)
         self._timeout = timeout
         self._server: Server | None = None
@@ -81,14 +81,14 @@ class Program:
                 results.append(read(job / f"{number:04d}", number))
         except JobError as error:
             # Of many starts that fail while a case is made smaller, only the last job is kept.
-            if self.kept is not None:
-                shutil.rmtree(self.kept, ignore_errors=True)
+            if self.kept_job is not None:
+                shutil.rmtree(self.kept_job, ignore_errors=True)
             at = len(results) if ran else _first_unanswered(job, len(cases))
-            self.kept = (
+            self.kept_job = (
                 Path(shutil.move(job, tempfile.gettempdir())) if job.parent == MEMORY else job
             )  # memory is not for what stays
-            words = str(error).replace(str(job), str(self.kept))
-            raise PortError(f"{self.name}: {words}; its job is kept: {self.kept}{self._last_words()}", at) from error
+            words = str(error).replace(str(job), str(self.kept_job))
+            raise PortError(f"{self.name}: {words}; its job is kept: {self.kept_job}{self._last_words()}", at) from error
         except BaseException:
             shutil.rmtree(job, ignore_errors=True)
             raise

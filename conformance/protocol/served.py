@@ -41,7 +41,7 @@ class Server:
         self._session = Session([*command, SERVE], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._err)
         self._process = self._session.process
         self._lines: SimpleQueue[str | None] = SimpleQueue()
-        self._said = 0
+        self._output_bytes = 0
         self.stderr = ""
         self._listener = Thread(target=self._listen, daemon=True)
         self._listener.start()
@@ -62,7 +62,7 @@ class Server:
         Raises:
             JobError: it ends, takes or says too much, or answers for another job.
         """
-        self._said = 0
+        self._output_bytes = 0
         self._err.seek(0)
         self._err.truncate()
         wrong = self._exchange(job, timeout)
@@ -111,14 +111,14 @@ class Server:
         return f"{describe(self._session.status(self._session.close()))} while it served"
 
     def _too_much(self) -> bool:
-        return max(self._said, os.fstat(self._err.fileno()).st_size) > MOST_SAID
+        return max(self._output_bytes, os.fstat(self._err.fileno()).st_size) > MOST_SAID
 
     def _listen(self) -> None:
         """Read its lines; those longer than ``MOST_LINE`` are no answers."""
         assert self._process.stdout is not None
         rest = b""
         while some := os.read(self._process.stdout.fileno(), MOST_LINE):
-            self._said += len(some)
+            self._output_bytes += len(some)
             *lines, rest = (rest + some).split(b"\n")
             for line in lines:
                 self._lines.put(line.decode(errors="replace").rstrip("\r"))

@@ -66,7 +66,7 @@ def keep_failure(folder: Path, name: str, failure: Failure, replay: str, write: 
         with tell_errors(place):
             _write_failure(temporary, failure.finding, f"{replay} --replay {shlex.quote(str(place))}", write)
             (temporary / DRAWN).mkdir()
-            write_drawn(temporary / DRAWN, name, [*failure.before, failure.drawn])
+            write_drawn(temporary / DRAWN, name, [*failure.before, failure.drawn_case])
             (temporary / SUMS).write_bytes(sums_below(temporary))
             temporary.chmod(0o755)
             if os.path.lexists(place) and not _is_ours(place):

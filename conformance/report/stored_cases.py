@@ -85,13 +85,13 @@ class _Collector(Judge):
 
     def __init__(self, arithmetic: Arithmetic, tier: Tier, seed: int):
         super().__init__(_NoPort(arithmetic), tier, seed, shrink=False)
-        self._seen: set[bytes] = set()
-        self._found: list[StoredCase] = []
+        self._keys: set[bytes] = set()
+        self._cases: list[StoredCase] = []
         self._undecided = 0
 
     def collect(self, name: str, test: Any) -> StoredTest:
         """The cases of one test."""
-        self._found, self._undecided = [], 0
+        self._cases, self._undecided = [], 0
         words = " ".join((test.__doc__ or "").split())
         try:
             for case in test.source.cases(self):
@@ -99,7 +99,7 @@ class _Collector(Judge):
                     raise _PropertyError
         except _PropertyError:
             return StoredTest(name, words, None, 0)
-        return StoredTest(name, words, self._found, self._undecided)
+        return StoredTest(name, words, self._cases, self._undecided)
 
     def agrees(self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights | None = None) -> Talk:
         """Right is the reference's result in float64, within the bound."""
@@ -115,12 +115,12 @@ class _Collector(Judge):
         case = self.make_case(stage, inputs, weights)
         key = fingerprint([stage, dict(case.inputs), case.weights])
         expected = self.right(stage, inputs, weights)
-        if key not in self._seen:
-            self._seen.add(key)
+        if key not in self._keys:
+            self._keys.add(key)
             # Values read by a motion of the port's own choice have a right answer for each choice.
             if not expected or (stage == "occlusion_warp" and expected["occlusion_motion"].undecided):
                 self._undecided += 1
             else:
                 flushed = self.arithmetic.flushed
                 exact = {name: Expected(right.want, flushed(right.want)) for name, right in expected.items()}
-                self._found.append(StoredCase(case, exact if exactly else expected))
+                self._cases.append(StoredCase(case, exact if exactly else expected))

@@ -55,14 +55,14 @@ def run_on_cluster(
     Raises:
         InputError: as there; nothing answers at the address, workers differ, or workers die or hang again and again.
     """
-    planned = plan(sequence, out, options, reads)
-    work = Work(VERSION, sequence, planned.rendered, out, options, engine)
+    run_plan = plan(sequence, out, options, reads)
+    work = Work(VERSION, sequence, run_plan.rendered, out, options, engine)
     with (
         connect(address) as workers,
-        planned.folder.open(refusal=None if options.resume or options.overwrite else REFUSAL),
+        run_plan.folder.open(refusal=None if options.resume or options.overwrite else REFUSAL),
     ):
-        summary = _Run(workers, work, planned, on_frame).run()
-        planned.folder.finish(remove_others=options.overwrite)
+        summary = _Run(workers, work, run_plan, on_frame).run()
+        run_plan.folder.finish(remove_others=options.overwrite)
     return summary
 
 
@@ -76,8 +76,8 @@ def cut_into_chunks(numbers: Sequence[int], workers: int, size: tuple[int, int])
 class _Run:
     """Sends chunks to workers, writes their frames, and sends a chunk again if its worker dies or hangs."""
 
-    def __init__(self, workers: Workers, work: Work, planned: RunPlan, on_frame: Callable[[FrameReport], None]):
-        self._workers, self._work, self._planned, self._on_frame = workers, work, planned, on_frame
+    def __init__(self, workers: Workers, work: Work, run_plan: RunPlan, on_frame: Callable[[FrameReport], None]):
+        self._workers, self._work, self._run_plan, self._on_frame = workers, work, run_plan, on_frame
         self._chunks: list[list[int]] | None = None
         """The remaining chunks; None: no worker has answered yet."""
         self._reports: dict[int, FrameReport] = {}
@@ -112,7 +112,7 @@ class _Run:
     def _attempt(self, executor: Executor) -> None:
         """Go on until all is done, or a worker dies or hangs. Then one chunk is sent alone, to find the one that causes it."""
         if self._chunks is None:
-            self._begin(executor.submit(introduce, self._work.part(self._planned.numbers[:1])).result(FIRST_TIMEOUT))
+            self._begin(executor.submit(introduce, self._work.part(self._run_plan.numbers[:1])).result(FIRST_TIMEOUT))
         waiting, tasks = list(self._chunks or ()), dict[Future[Chunk], list[int]]()
         while self._chunks:
             while waiting and len(tasks) < (1 if self._failures else CHUNKS_AHEAD * self._workers.count()):
@@ -130,11 +130,11 @@ class _Run:
         if who.error:
             raise InputError(f"--cluster: a worker cannot begin: {who.error}")
         self._backend = who.backend
-        todo = [number for number in self._planned.numbers if not self._is_kept(number, who)]
+        todo = [number for number in self._run_plan.numbers if not self._is_kept(number, who)]
         self._chunks = cut_into_chunks(todo, self._workers.count(), self._work.sequence.size)
 
     def _is_kept(self, number: int, who: Introduction) -> bool:
-        work, options, folder = self._work, self._work.options, self._planned.folder
+        work, options, folder = self._work, self._work.options, self._run_plan.folder
         settings = describe(work.sequence, options, NETWORK, who.backend, who.weights)
         kind = already_written(folder, options, number, keys_of(work.sequence, work.rendered, options, settings).of(number))
         if kind is not None:
@@ -150,7 +150,7 @@ class _Run:
         self._slowest = max(chunk.seconds, self._slowest or 0.0)
         for report, files in chunk.frames:
             for name, data in files.items():
-                self._planned.folder.write(name, data)
+                self._run_plan.folder.write(name, data)
             self._report(report)
         self._chunks.remove(numbers)
         self._failures = 0

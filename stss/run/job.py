@@ -82,18 +82,18 @@ def run(
             written to, ``out`` is the sequence's folder, another process writes there, it holds frames of others, or those of an
             earlier run and neither ``resume`` nor ``overwrite`` is set.
     """
-    planned = plan(sequence, out, options, reads, accumulates=backend.accumulates)
+    run_plan = plan(sequence, out, options, reads, accumulates=backend.accumulates)
     if backend.accumulates and options.resume:
         raise InputError(f"--resume: {backend.method} makes each output from all before it; run again with --overwrite")
-    folder = planned.folder
-    job = FrameJob.of(sequence, planned.rendered, options, backend, weights, folder, partial(already_written, folder, options))
+    folder = run_plan.folder
+    job = FrameJob.of(sequence, run_plan.rendered, options, backend, weights, folder, partial(already_written, folder, options))
     summary = Summary([])
 
     with folder.open(refusal=None if options.resume or options.overwrite else REFUSAL):
         if backend.accumulates:
-            for number in range(sequence.numbers[0], planned.numbers[0]):
+            for number in range(sequence.numbers[0], run_plan.numbers[0]):
                 job.compute(job.read(number))
-        with closing(job.run(deque(planned.numbers), sequence.size)) as reports:
+        with closing(job.run(deque(run_plan.numbers), sequence.size)) as reports:
             for report in reports:
                 summary.frames.append(report)
                 on_frame(report)

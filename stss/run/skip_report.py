@@ -14,15 +14,15 @@ class Tally:
     """Counts how much of the network was left out so far."""
 
     def __init__(self) -> None:
-        self._seen = 0
-        self._computed = 0.0
+        self._frames = 0
+        self._shares = 0.0
 
     def add(self, cost: Cost | None) -> str:
         """Count a frame; returns the share that had not changed over all frames, as text; "" if none was checked."""
         if cost is not None:
-            self._seen += 1
-            self._computed += 0.0 if cost.network == "none" else cost.changed
-        return "" if not self._seen else f"skipped {1 - self._computed / self._seen:.0%}"
+            self._frames += 1
+            self._shares += 0.0 if cost.network == "none" else cost.changed
+        return "" if not self._frames else f"skipped {1 - self._shares / self._frames:.0%}"
 
 
 def describe_costs(costs: Sequence[Cost]) -> str:

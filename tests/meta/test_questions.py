@@ -83,7 +83,7 @@ def test_the_case_at_which_a_job_failed_is_found_at_one_more_start():
     with pytest.raises(DepartureError, match="warp: ended by SIGSEGV"):
         judge.check(find_property("warp.whole_pixels_move_exactly"), *(still(i + 1) for i in range(40)))
     assert program.starts == [40, 1]
-    assert judge.record.failure.drawn["color"].shape == (2, 8, 1)
+    assert judge.record.failure.drawn_case["color"].shape == (2, 8, 1)
 
 
 def test_what_is_asked_together_is_computed_together():

@@ -112,9 +112,9 @@ def test_what_goes_wrong_is_told_and_the_next_job_has_a_new_process(program, tmp
     port.run_many([case()])
     with pytest.raises(PortError, match=words) as error:
         port.run_many([case()])
-    assert f"its job is kept: {port.kept}" in str(error.value)
-    assert port.kept.parent == Path(tempfile.gettempdir())  # not in memory, where it would stay
-    assert "job 1" in (port.kept / "stderr.txt").read_text()[:99]
+    assert f"its job is kept: {port.kept_job}" in str(error.value)
+    assert port.kept_job.parent == Path(tempfile.gettempdir())  # not in memory, where it would stay
+    assert "job 1" in (port.kept_job / "stderr.txt").read_text()[:99]
     port.run_many([case(2)])
     again = 1 if "missing" in words else 2
     assert starts(tmp_path) == ["--serve"] * again
