@@ -455,7 +455,8 @@ def test_buffers_and_limits_of_a_sequence():
 
 
 def section_of(name):
-    return page("profiles.md").split(f"### `{name}`")[1].split("\n###")[0].split("\n## ")[0]
+    assert f"\n### `{name}`\n" in page("profiles.md"), f"docs/profiles.md: expected a section ### `{name}`"
+    return page("profiles.md").split(f"### `{name}`\n")[1].split("\n###")[0].split("\n## ")[0]
 
 
 @pytest.mark.parametrize("name", profile_names())

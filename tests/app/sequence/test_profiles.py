@@ -14,19 +14,29 @@ from stss.sequence.reader import open_sequence
 from stss_ground.errors import InputError
 from tests.app.conftest import write_parts
 
-BUILT_IN = ("blender", "blender-files", "mitsuba", "stss", "unreal", "unreal-mrq")
-
 
 def toml(name="stss"):
     return load_profile(name).path.read_text(encoding="utf-8")
 
 
-def test_built_in_profiles_load():
-    assert profile_names() == BUILT_IN
-    for name in BUILT_IN:
-        profile = load_profile(name)
-        assert profile.name == name
-        assert set(profile.channels) == set(BUFFERS)
+@pytest.mark.parametrize("name", profile_names())
+def test_built_in_profiles_load(name):
+    profile = load_profile(name)
+    assert profile.name == name == profile.path.stem
+    assert set(profile.channels) == set(BUFFERS)
+
+
+@pytest.mark.parametrize("name", profile_names())
+def test_the_files_of_a_built_in_profile_choose_it(tmp_path, name):
+    """Alone: a new profile with the names of another one would leave the users of both without a choice."""
+    profile, files = load_profile(name), {}
+    for buffer, (names, *_) in profile.channels.items():
+        ending = profile.files_of(buffer)[0]
+        files.setdefault(ending, {}).update({each.replace("{layer}", "ViewLayer"): np.ones((4, 4)) for each in names})
+    for number in (1, 2):
+        for ending, channels in files.items():
+            write_channels(tmp_path / f"shot{ending}.{number:04d}.exr", channels)
+    assert open_sequence(tmp_path).profile.name == name
 
 
 def test_a_profile_is_a_file_like_any_other(tmp_path):
@@ -85,7 +95,7 @@ def test_a_profile_may_say_only_what_it_changes(tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ('base = "mine"', "base: expected one of blender, blender-files, mitsuba, stss, unreal, unreal-mrq, found 'mine'"),
+        ('base = "mine"', f"base: expected one of {', '.join(profile_names())}, found 'mine'"),
         ("base = 3", "base: expected one of blender"),
         ('base = "stss"\nunit = 1', "unit: unknown key; known are name, title, base"),
         ('base = "stss"\nmotion = {unit = "texels"}', "motion.unit: expected one of pixels, uv, ndc, found 'texels'"),
