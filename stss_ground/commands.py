@@ -75,7 +75,7 @@ class Commands(click.Group):
                 formatter.write_dl([(name, short) for name, (_, short) in commands.items()])
 
 
-def grouped(heading: str, *options: Callable[[Any], Any]) -> Callable[[Command], Command]:
+def group_options(heading: str, *options: Callable[[Any], Any]) -> Callable[[Command], Command]:
     """Add options to a command that stand together in the help of a `Subcommand`."""
 
     def add(command: Any) -> Any:
@@ -93,7 +93,7 @@ class Subcommand(click.Command):
     """A command of ``stss``.
 
     It refuses, before it begins, to write a file that it reads, by the kinds of its parameters (``stss_ground.option_kinds``). Its
-    options stand in the help under the headings that `grouped` gave them.
+    options stand in the help under the headings that `group_options` gave them.
     """
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:

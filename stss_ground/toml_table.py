@@ -54,7 +54,7 @@ class Table:
 
     def fail(self, key: str, expected: str, value: object) -> Exception:
         """The error to raise for a key."""
-        got = "nothing" if value is None else _shown(value)
+        got = "nothing" if value is None else _format(value)
         return self.error(f"{self.path}: {self.prefix}{key}: expected {expected}, found {got}")
 
     def take(self, key: str, expected: str, kind: type | tuple[type, ...]) -> Any:
@@ -155,7 +155,7 @@ class _Shown(reprlib.Repr):
         return repr(x) if abs(x) < 10**40 else f"a whole number of {x.bit_length()} bits"
 
 
-def _shown(value: object) -> str:
+def _format(value: object) -> str:
     short = _Shown()
     short.maxstring = short.maxother = 80
     return " ".join(short.repr(value).split())  # an array's has several lines

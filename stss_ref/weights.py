@@ -67,7 +67,7 @@ class WeightsError(ValueError):
     """Weights do not fit the network; the message names the tensor, the expected and the found value."""
 
 
-def _padded(length: int) -> int:
+def _ceil8(length: int) -> int:
     return -(-length // 8) * 8
 
 
@@ -125,7 +125,7 @@ class Layer:
 
     def multiply_adds(self, height: int, width: int) -> int:
         """Multiply-adds for one frame of (height, width): see `multiply_adds` of the module."""
-        pixels = (_padded(height) // self.divisor) * (_padded(width) // self.divisor)
+        pixels = (_ceil8(height) // self.divisor) * (_ceil8(width) // self.divisor)
         outputs = self.outputs + (1 if self.gated else 0)
         return self.repeats * pixels * outputs * self.inputs * self.kernel**2
 

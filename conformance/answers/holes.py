@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from conformance.answers.expected import Expected, mask
 from conformance.answers.port_arithmetic import Arithmetic, Reach, reach
-from conformance.answers.warp import interpolated, peaks, within_frame
+from conformance.answers.warp import interpolate, peaks, within_frame
 from conformance.protocol.stages import hole_test
 from conformance.tolerance import BOUNDS
 from stss_ref.arrays import Array
@@ -57,7 +57,7 @@ def expect_holes(inputs: dict[str, NDArray[Any]], arithmetic: Arithmetic, off: F
     inside, edge = within_frame(at)
     outside = Maybe(~inside & ~edge, ~inside | edge)
     with np.errstate(invalid="ignore", over="ignore"):
-        s, s_off = interpolated(inputs["stencil_previous"][..., None], at, arithmetic)
+        s, s_off = interpolate(inputs["stencil_previous"][..., None], at, arithmetic)
         s, s_off = s[..., 0], s_off[..., 0]
         standing = _is_zero(inputs["stencil_previous"], s, s_off, at)
         turned = _turns(inputs, at, arithmetic)
@@ -142,7 +142,7 @@ def _length(vectors: Array) -> Float64:
 def _turns(inputs: dict[str, NDArray[Any]], at: Reach, arithmetic: Arithmetic) -> Callable[[float], Maybe]:
     """Where the cosine is below a limit on a surface, that is, where one of the two normals is not 0."""
     unit, normal = arithmetic.unit, inputs["normal"]
-    n, n_off = interpolated(inputs["normal_previous"], at, arithmetic)
+    n, n_off = interpolate(inputs["normal_previous"], at, arithmetic)
     length = np.sqrt((n * n).sum(axis=-1))
     length_off = np.sqrt((n_off * n_off).sum(axis=-1)) + BOUNDS["length"].roundings * unit * length + SMALL
     dot = (normal * n).sum(axis=-1)

@@ -35,7 +35,7 @@ def expect_motion_chain(inputs: dict[str, NDArray[Any]], arithmetic: Arithmetic)
     unsure = np.zeros(chained.shape[:2], bool)
     for earlier in motions[1:]:
         at = reach(chained, arithmetic, off)
-        unsure |= at.at.finite & (at.unsure | _tied(earlier, at.at, arithmetic))
+        unsure |= at.at.finite & (at.unsure | _is_tied(earlier, at.at, arithmetic))
         with np.errstate(invalid="ignore"):
             chained = chain_on(chained, earlier)
             off = np.where(np.isfinite(chained), off + sum_error(chained, off, arithmetic), 0)
@@ -49,7 +49,7 @@ def expect_motion_chain(inputs: dict[str, NDArray[Any]], arithmetic: Arithmetic)
     return {"motion": Expected(want, off + arithmetic.tiny, tuple(others), vectors=True)}
 
 
-def _tied(earlier: NDArray[Any], at: Place, arithmetic: Arithmetic) -> NDArray[np.bool_]:
+def _is_tied(earlier: NDArray[Any], at: Place, arithmetic: Arithmetic) -> NDArray[np.bool_]:
     """Where rounding may decide: two of the four motions differ but have nearly the same length, or one hardly differs from 0."""
     height, width, _ = earlier.shape
     padded = np.pad(earlier, ((2, 3), (2, 3), (0, 0)))

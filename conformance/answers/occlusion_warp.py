@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from conformance.answers.expected import Expected
 from conformance.answers.port_arithmetic import Arithmetic, Reach, reach, ways
-from conformance.answers.warp import interpolated
+from conformance.answers.warp import interpolate
 from stss_ref.occlusion_warp import FARTHEST, splat
 from stss_ref.sample import taps
 
@@ -42,7 +42,7 @@ def expect_occlusion_warp(
     expected = Expected(maps[0], flush, tuple(maps[1:]), vectors=True)
     by = (got["occlusion_motion"] if got else maps[0]).astype(np.float64)
     valid = inputs["valid"].astype(bool)[..., None]
-    instead, allowed = interpolated(inputs["color"], reach(by, arithmetic), arithmetic)
+    instead, allowed = interpolate(inputs["color"], reach(by, arithmetic), arithmetic)
     warped = Expected(np.where(valid, inputs["warped"], instead), np.where(valid, arithmetic.flushed(inputs["warped"]), allowed))
     return {"occlusion_motion": expected, "occlusion_warp": warped}
 

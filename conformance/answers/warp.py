@@ -26,12 +26,12 @@ def expect_warp(inputs: dict[str, NDArray[Any]], arithmetic: Arithmetic) -> dict
         arithmetic: of the port.
     """
     at = reach(inputs["motion"], arithmetic)
-    want, allowed = interpolated(inputs["color"], at, arithmetic)
+    want, allowed = interpolate(inputs["color"], at, arithmetic)
     inside, unsure = within_frame(at)
     return {"warped": Expected(want, allowed), "inside": mask(inside, unsure)}
 
 
-def interpolated(image: Float64, at: Reach, arithmetic: Arithmetic) -> tuple[Float64, Float64]:
+def interpolate(image: Float64, at: Reach, arithmetic: Arithmetic) -> tuple[Float64, Float64]:
     """``image`` (H, W, C) read bilinearly, and the largest error of a port.
 
     The error is ``u (10 peak) + slip contrast``: the rounding of the lerps, and the errors of fraction and motion, which move the

@@ -128,7 +128,7 @@ def _other_weights(stage: str, weights: Weights) -> Iterator[tuple[str, Weights]
         yield "what fills holes", replace(weights, hole_fill="reshade")
 
 
-def _moved(count: int) -> NDArray[np.float64]:
+def _shift_right(count: int) -> NDArray[np.float64]:
     """(count, H, W, 2) motion to the right, by whole pixels, so that another pixel reads every pixel in the frame's middle."""
     motion = np.zeros((count, SIDE, SIDE, 2))
     motion[..., 0] = 1 + (np.arange(SIDE) < 5)[:, None]
@@ -151,24 +151,24 @@ def _surfaces(rng: Generator) -> Inputs:
 
 
 def _motion_chain(_: Generator) -> tuple[Inputs, None]:
-    return {"motions": _moved(3)}, None
+    return {"motions": _shift_right(3)}, None
 
 
 def _warp(rng: Generator) -> tuple[Inputs, None]:
-    return {"color": rng.random((SIDE, SIDE, 3)), "motion": _moved(1)[0]}, None
+    return {"color": rng.random((SIDE, SIDE, 3)), "motion": _shift_right(1)[0]}, None
 
 
 def _holes(rng: Generator) -> tuple[Inputs, None]:
     now = _surfaces(rng)
     before = {f"{name}_previous": now[name] for name in ("stencil", "normal", "position")}
-    planes = {"depth": np.full((SIDE, SIDE), 0.1), "paper": np.ones(1, np.int32), "motion": _moved(1)[0]}
+    planes = {"depth": np.full((SIDE, SIDE), 0.1), "paper": np.ones(1, np.int32), "motion": _shift_right(1)[0]}
     planes["depth"][DEEP] = 0.9
     return {**now, **before, **planes}, None
 
 
 def _occlusion_warp(rng: Generator) -> tuple[Inputs, None]:
     color, warped = rng.random((2, SIDE, SIDE, 3))
-    motion = _moved(1)[0]
+    motion = _shift_right(1)[0]
     motion[HEAD_ON] = 1, 1
     depth = rng.uniform(0.2, 0.8, (SIDE, SIDE))
     depth[HEAD_ON] = 0.1
@@ -182,7 +182,7 @@ def _reshade(rng: Generator) -> tuple[Inputs, None]:
     color, warped, base = rng.random((3, SIDE, SIDE, 3))
     now = {name: array for name, array in _surfaces(rng).items() if name != "nov"}
     before = {f"{name}_previous": array for name, array in now.items()}
-    motion = _moved(1)[0]
+    motion = _shift_right(1)[0]
     motion[DEEP] = -100, 0
     valid = np.ones((SIDE, SIDE), np.uint8)
     valid[7 : BELOW[0]] = 0
@@ -200,7 +200,7 @@ def _frame(rng: Generator) -> tuple[Inputs, Weights]:
     gbuffer = rng.random((SIDE, SIDE, 9))
     gbuffer[..., 3] = 0.1
     inputs: Inputs = {
-        "colors": rng.random((3, SIDE, SIDE, 3)), "steps": np.array([1, 2, 3], np.int32), "motions": _moved(3),
+        "colors": rng.random((3, SIDE, SIDE, 3)), "steps": np.array([1, 2, 3], np.int32), "motions": _shift_right(3),
         "gbuffer": gbuffer, "nov": now["nov"],
         **{f"{name}s": np.repeat(now[name][None], 4, axis=0) for name in ("stencil", "normal", "position")},
     }  # fmt: skip

@@ -26,7 +26,7 @@ LAST = {"history": "lowlevelGated.conv_feature", "encoder": "conv2.conv_feature"
 """Stage -> the layer whose sums are an output of the stage, without further sums: ``feature``, ``x1``, ``image``."""
 
 
-def tapped(rng: Generator, taps: tuple[float, ...], biases: tuple[float, ...] = (0.0,)) -> Tensors:
+def tap_weights(rng: Generator, taps: tuple[float, ...], biases: tuple[float, ...] = (0.0,)) -> Tensors:
     """Weights with which every output of a layer is a sum of a few inputs, each times one of ``taps``, and of one of ``biases``."""
     tensors: Tensors = {}
     for name, shape in TENSORS.items():
@@ -53,17 +53,17 @@ def eighths(stage: str, rng: Generator, size: Size) -> Inputs:
 def exact_inputs(draw: st.DrawFn, stage: str, size: st.SearchStrategy[Size]) -> tuple[Inputs, Weights]:
     """Draw a case whose computation needs no rounding."""
     rng = np.random.default_rng(draw(SEEDS))
-    inputs, weights = eighths(stage, rng, draw(size)), tapped(rng, ADDED, (-1.0, 0.0, 1.0))
+    inputs, weights = eighths(stage, rng, draw(size)), tap_weights(rng, ADDED, (-1.0, 0.0, 1.0))
     if stage == "decoder":
         # Interpolation is exact only in a flat image, so enlarged features are flat up to the last layers.
         inputs |= {name: np.broadcast_to(inputs[name][:1, :1], inputs[name].shape) for name in inputs if name != "x1"}
         for name, tensor in weights.items():
             if name.startswith(("up1", "up2")) and name.endswith("weight"):
-                weights[name] = _centred(tensor)
+                weights[name] = _centre(tensor)
     return inputs, Weights(weights)
 
 
-def _centred(tensor: NDArray[Any]) -> NDArray[Any]:
+def _centre(tensor: NDArray[Any]) -> NDArray[Any]:
     """The tensor with the sum of a layer's taps in the middle of its window."""
     centred = np.zeros_like(tensor)
     centred[:, :, 1, 1] = tensor.sum(axis=(2, 3))
@@ -77,7 +77,7 @@ def rounded_sums(draw: st.DrawFn, stage: str) -> tuple[Inputs, Weights]:
     Its products have one sign, and none or half of them are 0, so that a sum that always rounds to one side ends far from the truth.
     """
     rng = np.random.default_rng(draw(SEEDS))
-    inputs, weights = eighths(stage, rng, (64, 64) if stage == "history" else (16, 16)), tapped(rng, (1.0,))
+    inputs, weights = eighths(stage, rng, (64, 64) if stage == "history" else (16, 16)), tap_weights(rng, (1.0,))
     if draw(st.booleans()):
         inputs = {name: array * (rng.random(array.shape) < 0.5) for name, array in inputs.items()}
     if stage == "decoder":

@@ -24,7 +24,7 @@ def first_departure(judge: Judge, finding: Finding) -> str:
     if not specs or case.weights is None or finding.expected is None:
         return ""
     try:
-        got = _handed_over(judge, finding)
+        got = _layers_of(judge, finding)
     except (ArrayError, PortError) as error:
         return f"its layers cannot be read: {error}"
     if not got:
@@ -38,7 +38,7 @@ def first_departure(judge: Judge, finding: Finding) -> str:
     return f"none of the {len(there)} layers that the port returns departs"
 
 
-def _handed_over(judge: Judge, finding: Finding) -> Outputs:
+def _layers_of(judge: Judge, finding: Finding) -> Outputs:
     """The port's layers by name; empty if it has no such method."""
     case, ask = finding.case, judge.abilities.layers
     if ask is None or case.weights is None:

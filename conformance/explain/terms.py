@@ -40,9 +40,9 @@ def terms_at_worst(finding: Finding) -> tuple[str, ...]:
     with np.errstate(all="ignore"):
         terms = [*TERMS[case.stage](inputs, y, x)]
         truth = reference(case.stage, inputs).get(finding.output)
-    terms += [("the port gives", _shown(got[y, x])), ("the test expects", _shown(expected.want[y, x]))]
+    terms += [("the port gives", _format(got[y, x])), ("the test expects", _format(expected.want[y, x]))]
     if truth is not None and largest(replace(expected, want=truth, allowed=2 * np.asarray(expected.allowed)), expected.want) > 1:
-        terms.append(("of this case is right", f"{_shown(truth[y, x])}; the test compares two answers of the port"))
+        terms.append(("of this case is right", f"{_format(truth[y, x])}; the test compares two answers of the port"))
     width = max(len(name) for name, _ in terms)
     head = f"at row {y}, column {x} of {' x '.join(map(str, got.shape[:2]))}, as the reference has it in float64:"
     return (head, *(f"  {name:{width}}  {text}" for name, text in terms))
@@ -55,7 +55,7 @@ def _size(inputs: Inputs) -> tuple[int, int]:
     return motion.shape[0], motion.shape[1]
 
 
-def _shown(value: Any) -> str:
+def _format(value: Any) -> str:
     """A number, or a vector in parentheses."""
     numbers = np.asarray(value)
     if numbers.ndim == 0:
@@ -74,26 +74,26 @@ def _read(image: Float64, at: Place, y: int, x: int) -> list[Term]:
     four = taps(at)
     y0, x0, y1, x1 = (int(a[y, x]) for a in (four.y0, four.x0, four.y1, four.x1))
     return [
-        (f"row {y0}, columns {x0} and {x1}", f"{_shown(image[y0, x0])} and {_shown(image[y0, x1])}"),
-        (f"row {y1}, columns {x0} and {x1}", f"{_shown(image[y1, x0])} and {_shown(image[y1, x1])}"),
-        ("fractions across, down", _shown([four.fx[y, x], four.fy[y, x]])),
-        ("read between them", _shown(bilinear(image, four)[y, x])),
+        (f"row {y0}, columns {x0} and {x1}", f"{_format(image[y0, x0])} and {_format(image[y0, x1])}"),
+        (f"row {y1}, columns {x0} and {x1}", f"{_format(image[y1, x0])} and {_format(image[y1, x1])}"),
+        ("fractions across, down", _format([four.fx[y, x], four.fy[y, x]])),
+        ("read between them", _format(bilinear(image, four)[y, x])),
     ]
 
 
 def _motion_chain(inputs: Inputs, y: int, x: int) -> list[Term]:
     motions = inputs["motions"]
     chained = list(chain_steps(motions))
-    terms = [("motion of the newest frame", _shown(motions[0, y, x]))]
+    terms = [("motion of the newest frame", _format(motions[0, y, x]))]
     for j, earlier in enumerate(motions[1:], start=1):
         at = follow(chained[j - 1])
         row, column = int(truncated(at.y, at.fy)[y, x]), int(truncated(at.x, at.fx)[y, x])
         terms.append((f"step {j}: leads to", _leads_to(at, y, x)))
         if at.finite[y, x]:
             four = [_or_zero(earlier, row + i, column + k) for i in (0, 1) for k in (0, 1)]
-            terms.append((f"step {j}: motions at rows {row}, {row + 1}", " ".join(map(_shown, four))))
-            terms.append((f"step {j}: longest, 0 if one is 0", _shown(gather_longest(earlier, at)[y, x])))
-        terms.append((f"step {j}: chained", _shown(chained[j][y, x])))
+            terms.append((f"step {j}: motions at rows {row}, {row + 1}", " ".join(map(_format, four))))
+            terms.append((f"step {j}: longest, 0 if one is 0", _format(gather_longest(earlier, at)[y, x])))
+        terms.append((f"step {j}: chained", _format(chained[j][y, x])))
     return terms
 
 
@@ -105,9 +105,9 @@ def _or_zero(motion: Float64, row: int, column: int) -> Float64:
 def _warp(inputs: Inputs, y: int, x: int) -> list[Term]:
     at = follow(inputs["motion"])
     return [
-        ("motion", _shown(inputs["motion"][y, x])),
+        ("motion", _format(inputs["motion"][y, x])),
         ("leads to", _leads_to(at, y, x)),
-        ("inside", _shown(leads_inside(at)[y, x].astype(int))),
+        ("inside", _format(leads_inside(at)[y, x].astype(int))),
         *_read(inputs["color"], at, y, x),
     ]
 
@@ -122,36 +122,36 @@ def _holes(inputs: Inputs, y: int, x: int) -> list[Term]:
     static = [
         (
             "static, since its stencil is 0: positions read",
-            " ".join(_shown(previous[j[y, x], i[y, x]]) for j in rows for i in columns),
+            " ".join(_format(previous[j[y, x], i[y, x]]) for j in rows for i in columns),
         ),
-        ("position now", _shown(here)),
+        ("position now", _format(here)),
     ]
     if hole_test(inputs["paper"]) == "paper":
         distances = [float(np.sqrt(((previous[j[y, x], i[y, x]] - here) ** 2).sum())) for j in rows for i in columns]
         facing, depth = abs(inputs["nov"][y, x]), inputs["depth"][y, x]
         bias = LIMITS.facing * facing + LIMITS.grazing * (1 - facing) + LIMITS.depth * depth
         static += [
-            ("|NoV|, depth", _shown([facing, depth])),
-            ("distances to the four", _shown(distances)),
-            ("bias, a hole unless all <=", _shown(bias)),
+            ("|NoV|, depth", _format([facing, depth])),
+            ("distances to the four", _format(distances)),
+            ("bias, a hole unless all <=", _format(bias)),
         ]
     else:
         offset = between([previous[j, i] - inputs["position"] for j in rows for i in columns], four)[y, x]
         footprint = np.sqrt(squared_footprint(inputs["position"])[y, x])
         static += [
-            ("offset read between them", _shown(offset)),
-            ("its length", _shown(np.sqrt((offset * offset).sum()))),
-            (f"{LIMITS.footprints:g} footprints, a hole unless <=", _shown(LIMITS.footprints * footprint)),
+            ("offset read between them", _format(offset)),
+            ("its length", _format(np.sqrt((offset * offset).sum()))),
+            (f"{LIMITS.footprints:g} footprints, a hole unless <=", _format(LIMITS.footprints * footprint)),
             *_turn(now, n, LIMITS.static_cosine),
         ]
     moving = _turn(now, n, LIMITS.cosine)
     return [
-        ("motion", _shown(inputs["motion"][y, x])),
+        ("motion", _format(inputs["motion"][y, x])),
         ("leads to", _leads_to(at, y, x)),
-        ("inside, else a hole", _shown(leads_inside(at)[y, x].astype(int))),
-        ("fractions across, down", _shown([four.fx[y, x], four.fy[y, x]])),
-        ("stencil read there, and now", f"{_shown(s)} and {_shown(inputs['stencil'][y, x])}"),
-        (f"3 |difference|, a hole if > {LIMITS.mesh:g}", _shown(3 * abs(s - inputs["stencil"][y, x]))),
+        ("inside, else a hole", _format(leads_inside(at)[y, x].astype(int))),
+        ("fractions across, down", _format([four.fx[y, x], four.fy[y, x]])),
+        ("stencil read there, and now", f"{_format(s)} and {_format(inputs['stencil'][y, x])}"),
+        (f"3 |difference|, a hole if > {LIMITS.mesh:g}", _format(3 * abs(s - inputs["stencil"][y, x]))),
         *(static if s == 0 else moving),
     ]
 
@@ -159,8 +159,8 @@ def _holes(inputs: Inputs, y: int, x: int) -> list[Term]:
 def _turn(now: NDArray[Any], n: NDArray[Any], least: float) -> list[Term]:
     length = np.sqrt((n * n).sum())
     return [
-        ("normal read there, and now", f"{_shown(n)} and {_shown(now)}"),
-        (f"cosine, a hole if < {least:g}", _shown((now * n).sum() / (length + 1e-5))),
+        ("normal read there, and now", f"{_format(n)} and {_format(now)}"),
+        (f"cosine, a hole if < {least:g}", _format((now * n).sum() / (length + 1e-5))),
     ]
 
 
@@ -171,15 +171,15 @@ def _occlusion_warp(inputs: Inputs, y: int, x: int) -> list[Term]:
     row, column = int(look.y0[y, x]), int(look.x0[y, x])
     instead = splat(motion, depth)[look.y0, look.x0]
     terms = [
-        ("motion", _shown(motion[y, x])),
+        ("motion", _format(motion[y, x])),
         ("leads to", _leads_to(at, y, x)),
         ("looks up what was splatted at", f"row {row}, column {column}"),
         *_writers(at, motion, depth, row, column),
-        ("occlusion motion", _shown(instead[y, x])),
-        ("valid", _shown(inputs["valid"][y, x])),
+        ("occlusion motion", _format(instead[y, x])),
+        ("valid", _format(inputs["valid"][y, x])),
     ]
     if inputs["valid"][y, x]:
-        return [*terms, ("warped, taken as it is valid", _shown(inputs["warped"][y, x]))]
+        return [*terms, ("warped, taken as it is valid", _format(inputs["warped"][y, x]))]
     again = follow(instead)
     return [*terms, ("from this pixel that leads to", _leads_to(again, y, x)), *_read(inputs["color"], again, y, x)]
 
@@ -193,14 +193,14 @@ def _writers(at: Place, motion: Float64, depth: Float64, row: int, column: int) 
     places = sorted(((float(depth[j, i]), int(j), int(i)) for j, i in np.argwhere(there)))
     if not places:
         return [("written there by", "no pixel: 0")]
-    words = [f"row {j}, column {i}, depth {d:.9g}, motion {_shown(motion[j, i])}" for d, j, i in places[:MOST_WRITERS]]
+    words = [f"row {j}, column {i}, depth {d:.9g}, motion {_format(motion[j, i])}" for d, j, i in places[:MOST_WRITERS]]
     others = len(places) - len(words)
     names = ["written there by, and stays", *["written there by"] * (len(words) - 1)]
     return [*zip(names, words, strict=True), *([("", f"and {others} more")] if others else [])]
 
 
 def _reshade(inputs: Inputs, y: int, x: int) -> list[Term]:
-    terms = [("valid", _shown(inputs["valid"][y, x])), ("warped", _shown(inputs["warped"][y, x]))]
+    terms = [("valid", _format(inputs["valid"][y, x])), ("warped", _format(inputs["warped"][y, x]))]
     if inputs["valid"][y, x]:
         return terms
     before, now = ([inputs[f"{name}{when}"] for name in ("stencil", "normal", "position")] for when in ("_previous", ""))
@@ -210,15 +210,15 @@ def _reshade(inputs: Inputs, y: int, x: int) -> list[Term]:
             continue
         own = shows_surface((before[0], before[1], before[2]), (now[0], now[1], now[2]), (row, column), pixel)[0]
         what = "its own surface" if own else "another surface"
-        terms.append((f"row {row[0]}, column {column[0]}: {what}", _shown(inputs["color"][row[0], column[0]])))
-    return [*terms, ("motion", _shown(inputs["motion"][y, x])), ("base colour", _shown(inputs["base_color"][y, x]))]
+        terms.append((f"row {row[0]}, column {column[0]}: {what}", _format(inputs["color"][row[0], column[0]])))
+    return [*terms, ("motion", _format(inputs["motion"][y, x])), ("base colour", _format(inputs["base_color"][y, x]))]
 
 
 def _rrm(inputs: Inputs, y: int, x: int) -> list[Term]:
     top, left, height, width = (int(n) for n in inputs["rectangle"])
     within = top <= y < top + height and left <= x < left + width
     return [
-        ("valid before", _shown(inputs["valid"][y, x])),
+        ("valid before", _format(inputs["valid"][y, x])),
         ("rectangle", f"rows {top} to {top + height - 1}, columns {left} to {left + width - 1}"),
         ("holds the pixel", "yes: 0" if within else "no: as before"),
     ]

@@ -466,7 +466,7 @@ def _shape(_r: Rounding, node: Node, x: AnyArray) -> Result:
 
 
 @_operator("ConstantOfShape")
-def _filled(_r: Rounding, node: Node, shape: AnyArray) -> Result:
+def _fill(_r: Rounding, node: Node, shape: AnyArray) -> Result:
     value = np.asarray(node.get("value", np.zeros(1)))
     return Result(np.full(_whole(shape) or (), value.item(), np.float64 if value.dtype.kind == "f" else value.dtype))
 

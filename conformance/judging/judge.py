@@ -17,7 +17,7 @@ from conformance.answers.port_arithmetic import Arithmetic
 from conformance.answers.sums import expected_rounding, rounding
 from conformance.answers.windows import expect_windows
 from conformance.judging.findings import MOST_WRONG, DepartureError, Failure, Finding, Record, WrongError, describe
-from conformance.judging.questions import BATCH, Answer, Dialogue, Question, Talk, answers_of, ask, repeated
+from conformance.judging.questions import BATCH, Answer, Dialogue, Question, Talk, answers_of, ask, repeat_questions
 from conformance.protocol.port import Abilities, Arrays, Case, Outputs, Port, PortError, abilities_of
 from conformance.protocol.stages import STAGES, check_inputs, check_outputs, network_inputs, reference
 from conformance.protocol.weights_file import shuffled
@@ -188,11 +188,11 @@ class Judge:
 
     def _ask(self, dialogues: Sequence[Dialogue]) -> list[list[Outputs] | DepartureError | None]:
         """The port's answers for all waiting cases; a departure in place of a missing one; None if the port was not asked."""
-        questions = [question for dialogue in dialogues for question in repeated(dialogue.questions, self.repeat)]
+        questions = [question for dialogue in dialogues for question in repeat_questions(dialogue.questions, self.repeat)]
         order = sorted(range(len(questions)), key=lambda i: questions[i].again)
         cases = [self._case_of(question) for question in questions]
         answer_of = dict(zip(order, answers_of(self.port, self.abilities, [cases[i] for i in order]), strict=True))
-        answers = [self._checked(case, answer_of[i]) for i, case in enumerate(cases)]
+        answers = [self._check_answer(case, answer_of[i]) for i, case in enumerate(cases)]
         result: list[list[Outputs] | DepartureError | None] = []
         for dialogue in dialogues:
             count = len(dialogue.questions) * self.repeat
@@ -216,7 +216,7 @@ class Judge:
                     return error.of(self._case_of(question))
         return first
 
-    def _checked(self, case: Case, answer: Answer) -> Outputs | DepartureError | None:
+    def _check_answer(self, case: Case, answer: Answer) -> Outputs | DepartureError | None:
         """The outputs, if their shapes and dtypes are right."""
         sizes = check_inputs(case.stage, case.inputs, "float32")
         if answer is None:
@@ -241,7 +241,7 @@ class Judge:
         """
         case = self.make_case(stage, inputs, weights)
         (answer,) = answers_of(self.port, self.abilities, [case])
-        got = self._checked(case, answer)
+        got = self._check_answer(case, answer)
         if isinstance(got, DepartureError):
             raise got
         assert got is not None
@@ -249,7 +249,7 @@ class Judge:
 
     def make_case(self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights | None = None) -> Case:
         """The case that the port gets for these inputs."""
-        return Case(stage, self._rounded_once(inputs, stage), None if weights is None else self._weights_of(weights))
+        return Case(stage, self._round_once(inputs, stage), None if weights is None else self._weights_of(weights))
 
     def _weights_of(self, weights: Weights) -> Weights:
         """The weights as the port gets them, the same object for the same weights, so that a job has them once."""
@@ -274,7 +274,7 @@ class Judge:
         narrow = self.arithmetic.dtype == "float16" and stage in STAGES and STAGES[stage].weights
         return {name: self.arithmetic.rounded(array, MOST_FLOAT16 if narrow else None) for name, array in arrays.items()}
 
-    def _rounded_once(self, arrays: Arrays, stage: str) -> dict[str, NDArray[Any]]:
+    def _round_once(self, arrays: Arrays, stage: str) -> dict[str, NDArray[Any]]:
         """`round_inputs`, kept for the last few cases: a property asks and compares with the same mapping."""
         for inputs, of, rounded in self._rounded:
             if inputs is arrays and of == stage:
@@ -284,7 +284,7 @@ class Judge:
 
     def exactly(self, arrays: Arrays, stage: str) -> dict[str, NDArray[Any]]:
         """The numbers of ``round_inputs`` in float64, for the reference."""
-        rounded = self._rounded_once(arrays, stage)
+        rounded = self._round_once(arrays, stage)
         return {name: array.astype(np.float64) if array.dtype.kind == "f" else array for name, array in rounded.items()}
 
     def right(

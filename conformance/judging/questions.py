@@ -135,6 +135,6 @@ class Dialogue:
         self.questions = (questions,) if isinstance(questions, Question) else tuple(questions)
 
 
-def repeated(questions: Sequence[Question], times: int) -> list[Question]:
+def repeat_questions(questions: Sequence[Question], times: int) -> list[Question]:
     """Each question as often as it is computed; the repetitions come after all others."""
     return [question if time == 0 else replace(question, again=True) for question in questions for time in range(times)]

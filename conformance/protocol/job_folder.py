@@ -362,13 +362,13 @@ def read_array(path: Path) -> AnyArray:
     Raises:
         JobError: it is missing or damaged, holds anything but numbers, or exceeds ``MOST_BYTES``.
     """
-    array = _mapped(path)
+    array = _map_file(path)
     if array.nbytes > MOST_BYTES:
         raise JobError(f"{path}: expected up to {MOST_BYTES >> 30} GiB")
     return _load(array)
 
 
-def _mapped(path: Path) -> AnyArray:
+def _map_file(path: Path) -> AnyArray:
     """A file's array, whose numbers are not yet read: only its header was."""
     if not path.is_file():
         raise JobError(f"{path}: {'not a file' if path.exists() else 'missing'}")
@@ -404,7 +404,7 @@ def _first_line(value: object) -> str:
 
 def _read_arrays(folder: Path, specs: Mapping[str, ArraySpec], fits: Callable[[Arrays], None]) -> Outputs:
     """The arrays of these names; ``fits`` is called before the first number is read, and raises ArrayError."""
-    maps = {name: _mapped(folder / f"{name}.npy") for name in specs}
+    maps = {name: _map_file(folder / f"{name}.npy") for name in specs}
     fits(maps)
     arrays = {name: _load(array) for name, array in maps.items()}
     check_numbers(specs, arrays, lambda name: f"{folder / name}.npy")

@@ -116,7 +116,7 @@ class Program:
             except OSError as error:
                 raise PortError(f"{self._command[0]}: cannot be started: {error.strerror or error}") from error
             self.stderr = ending.stderr
-        if failed := _failed(ending, self._timeout):
+        if failed := _fault_of(ending, self._timeout):
             raise JobError(failed)
 
     def _serving(self) -> Server | None:
@@ -155,7 +155,7 @@ def _first_unanswered(job: Path, count: int) -> int | None:
     )
 
 
-def _failed(ending: Ending, timeout: float) -> str:
+def _fault_of(ending: Ending, timeout: float) -> str:
     """The reason to reject all of the program's outputs; "" if there is none."""
     if ending.status is None:
         return f"stopped after {timeout:g} s" if not ending.talked else f"stopped: more than {MOST_SAID >> 20} MiB on its output"

@@ -32,7 +32,7 @@ class PlantError(ValueError):
     """The reference has no such name."""
 
 
-def _copied() -> list[str]:
+def _names_to_copy() -> list[str]:
     return [name for name in sys.modules if name.partition(".")[0] == "stss_ref" and name not in SHARED]
 
 
@@ -40,16 +40,16 @@ class Copy:
     """The table of stages and the modules of the reference that it needs, once more."""
 
     def __init__(self) -> None:
-        originals = {name: sys.modules.pop(name) for name in _copied()}
+        originals = {name: sys.modules.pop(name) for name in _names_to_copy()}
         try:
             spec = find_spec("conformance.protocol.stages")
             assert spec is not None
             assert spec.loader is not None
             stages = module_from_spec(spec)
             spec.loader.exec_module(stages)
-            self._modules = {"stages": stages, **{name.partition(".")[2]: sys.modules[name] for name in _copied()}}
+            self._modules = {"stages": stages, **{name.partition(".")[2]: sys.modules[name] for name in _names_to_copy()}}
         finally:
-            for name in _copied():
+            for name in _names_to_copy():
                 del sys.modules[name]
             sys.modules.update(originals)
 

@@ -39,7 +39,7 @@ class RunningReport:
         self._bar = ExitStack()
         self._advance: Advance | None = None
         self._total = 0
-        judge.tell = self._told_early
+        judge.tell = self._tell_early
 
     def __enter__(self) -> RunningReport:
         return self
@@ -72,7 +72,7 @@ class RunningReport:
         else:
             echo(f"  {self._again} --replay {shlex.quote(str(self.folders[name]))}")
 
-    def _told_early(self, finding: Finding) -> None:
+    def _tell_early(self, finding: Finding) -> None:
         """A failure that is still made smaller."""
         echo(f"fails; its case is being made smaller: {finding.message}")
 

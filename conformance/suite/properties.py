@@ -32,17 +32,17 @@ Test = Callable[[Judge], None]
 
 def cases(strategy: st.SearchStrategy[Any], *, slow: bool = False) -> Callable[[Body], Test]:
     """Make a test of a property on drawn cases: see `DrawnCases`."""
-    return _tested_on(DrawnCases(strategy, slow=slow))
+    return _test_on(DrawnCases(strategy, slow=slow))
 
 
 def made_cases(
     makers: Makers | Callable[[Judge], Makers], *, about: Callable[[Maker], str] = lambda _: ""
 ) -> Callable[[Body], Test]:
     """Make a test of a property on a few cases that are made: see `MadeCases`."""
-    return _tested_on(MadeCases(makers, about))
+    return _test_on(MadeCases(makers, about))
 
 
-def _tested_on(source: DrawnCases | MadeCases) -> Callable[[Body], Test]:
+def _test_on(source: DrawnCases | MadeCases) -> Callable[[Body], Test]:
     def decorate(body: Body) -> Test:
         @wraps(body)
         def test(judge: Judge) -> None:

@@ -31,7 +31,7 @@ def test_as_one_pixel_after_the_other(judge: Judge, inputs: Inputs) -> Talk:
     judge.same(
         "occlusion_warp.occlusion_motion",
         got,
-        _looped(inputs["motion"], judge.round_inputs(inputs, "occlusion_warp")["depth"]).astype(np.float32),
+        _loop(inputs["motion"], judge.round_inputs(inputs, "occlusion_warp")["depth"]).astype(np.float32),
     )
 
 
@@ -70,7 +70,7 @@ test_large_frames_agree_with_the_reference = agrees_in_large_frames("occlusion_w
 test_a_users_size_agrees_in_windows = agrees_in_windows("occlusion_warp")
 
 
-def _looped(motion: np.ndarray, depth: np.ndarray) -> np.ndarray:
+def _loop(motion: np.ndarray, depth: np.ndarray) -> np.ndarray:
     """The splat as a plain loop (spec 5), for motion of halves and quarters."""
     height, width = depth.shape
     nearest, earlier = np.full((height, width), 10.0), np.zeros_like(motion)

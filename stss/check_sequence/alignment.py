@@ -45,12 +45,12 @@ def alignment_lines(frames: Iterable[Buffers], *, linear: bool) -> list[Line]:
             steps.append(_steps(frame))
     if not ratios:
         return []
-    if edges := _shown(ratios):
+    if edges := _ratio_lines(ratios):
         return edges  # edges that are not its own say nothing of its light
-    return [] if linear and bright else _encoded(np.concatenate(steps), linear=linear)  # a display shows nothing above 1
+    return [] if linear and bright else _transfer_lines(np.concatenate(steps), linear=linear)  # a display shows nothing above 1
 
 
-def _shown(ratios: list[Array]) -> list[Line]:
+def _ratio_lines(ratios: list[Array]) -> list[Line]:
     own, *others = np.mean(ratios, axis=0)
     best = int(np.argmax(others))
     if not others[best] > own + CLEARLY:
@@ -59,7 +59,7 @@ def _shown(ratios: list[Array]) -> list[Line]:
     return [("warning", f"{text} (correlation {others[best]:.2f}, now {own:.2f})")]
 
 
-def _encoded(steps: Array, *, linear: bool) -> list[Line]:
+def _transfer_lines(steps: Array, *, linear: bool) -> list[Line]:
     """On a flat surface light hardly changes: a linear colour changes as much as its base colour, an encoded one less."""
     if len(steps) < MIN_STEPS:
         return []

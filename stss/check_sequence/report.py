@@ -25,7 +25,7 @@ from stss.check_sequence.static_positions import judge_static_geometry
 from stss.check_sequence.value_statistics import Level, Values, motion_lines
 from stss.images.headers import read_header
 from stss.sequence.antialiasing import judge_sampling
-from stss.sequence.choose_weights import suited
+from stss.sequence.choose_weights import weights_for
 from stss.sequence.find_files import find_frames
 from stss.sequence.profiles import BUFFERS
 from stss.sequence.raw_frame import NonFinite
@@ -134,7 +134,7 @@ def check(
         tables["sampling"] = dataclasses.asdict(sampling)
         how = "antialiased" if sampling.antialiased else "aliased, one sample a pixel"
         findings.append(
-            CheckFinding("note", f"sampling: {how} ({sampling.reason}); stss run takes the weights {suited(sampling)}")
+            CheckFinding("note", f"sampling: {how} ({sampling.reason}); stss run takes the weights {weights_for(sampling)}")
         )
     except InputError as error:
         findings.append(CheckFinding("error", str(error)))
@@ -167,7 +167,7 @@ def missing_frames(numbers: list[int]) -> list[CheckFinding]:
         )
         return [CheckFinding("error", text)]
     missing = chain.from_iterable(range(a + 1, b) for a, b in pairwise(numbers))  # lazily: numbers may lie far apart
-    text = f"display frames {_listed(islice(missing, LISTED), count)} are not there: G-buffer and motion of each are needed"
+    text = f"display frames {_list_first(islice(missing, LISTED), count)} are not there: G-buffer and motion of each are needed"
     return [CheckFinding("error", text)]
 
 
@@ -186,9 +186,7 @@ def missing_buffers(sequence: Sequence, numbers: list[int]) -> list[CheckFinding
     for buffer in BUFFERS:
         missing = [n for n in numbers if not sequence.has(n, buffer)]
         if missing and buffer != "color":
-            text = (
-                f"{buffer}: not there in frames {_listed(missing, len(missing))}; every display frame needs it, rendered or not"
-            )
+            text = f"{buffer}: not there in frames {_list_first(missing, len(missing))}; every display frame needs it, rendered or not"
             findings.append(CheckFinding("error", text))
     rendered = sorted(sequence.rendered.intersection(numbers))
     if rendered == numbers:
@@ -196,7 +194,7 @@ def missing_buffers(sequence: Sequence, numbers: list[int]) -> list[CheckFinding
     elif rendered and rendered == [n for n in numbers if (n - rendered[0]) % 2 == 0 and n >= rendered[0]]:
         findings.append(CheckFinding("note", f"colour: every second frame from {rendered[0]} on"))
     else:
-        listing = _listed(rendered, len(rendered)) if rendered else "none"
+        listing = _list_first(rendered, len(rendered)) if rendered else "none"
         findings.append(CheckFinding("warning", f"colour: expected every frame or every second one; found frames {listing}"))
     return findings
 
@@ -213,7 +211,7 @@ def data_windows(sequence: Sequence, numbers: list[int]) -> list[CheckFinding]:
         text = f"overscan: {left} pixels left, {right} right, {top} above, {bottom} below; it is read and computed, too"
         findings.append(CheckFinding("note", text))
     if cropped:
-        text = f"data windows: cropped in frames {_listed(cropped, len(cropped))}; nothing was hit outside"
+        text = f"data windows: cropped in frames {_list_first(cropped, len(cropped))}; nothing was hit outside"
         findings.append(CheckFinding("note", text))
     return findings
 
@@ -241,7 +239,7 @@ def _samples(sequence: Sequence, number: int) -> int:
     return int(counts[0]) if counts and counts[0].isdecimal() and len(counts[0]) < 10 else 0
 
 
-def _listed(numbers: Iterable[int], count: int) -> str:
+def _list_first(numbers: Iterable[int], count: int) -> str:
     """The first of ``count`` numbers, as text."""
     more = f", ... ({count} in all)" if count > LISTED else ""
     return ", ".join(str(n) for n in islice(numbers, LISTED)) + more

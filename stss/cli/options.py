@@ -20,7 +20,7 @@ from stss.sequence.choose_weights import AUTO
 from stss.sequence.find_files import MAX_DIGITS
 from stss.sequence.reader import SequenceOptions
 from stss_cl.options import PRECISIONS, SKIPS, Precision, Skip
-from stss_ground.commands import grouped
+from stss_ground.commands import group_options
 from stss_ground.option_kinds import Names, Number, ReadName, ReadPath
 from stss_ground.terminal import echo
 
@@ -81,7 +81,7 @@ def sequence_options(command: Command) -> Command:
     names = [each.name for each in fields(SequenceOptions)]
 
     @wraps(command)
-    def collected(**options: Any) -> Any:
+    def collect(**options: Any) -> Any:
         reading = SequenceOptions(**{name: options.pop(name) for name in names})
         return command(**options, reading=reading)
 
@@ -113,7 +113,7 @@ def sequence_options(command: Command) -> Command:
             help="NaN and Inf in colour or G-buffer: an error, or 0 and a warping hole.",
         ),
     )
-    decorated: Any = grouped("The sequence", *options)(collected)
+    decorated: Any = group_options("The sequence", *options)(collect)
     return decorated
 
 
@@ -144,14 +144,14 @@ def frame_options(command: Command) -> Command:
         ),
         click.option("--depth", type=click.Choice(["clip", "scale"]), help="How depth is normalised  [default: the profile's]"),
     )
-    return grouped("The frames", *options)(command)
+    return group_options("The frames", *options)(command)
 
 
 def backend_options(command: Command) -> Command:
     """Add the options of commands that compute frames; the command gets ``backend`` and ``compute``, a ``ComputeOptions``."""
 
     @wraps(command)
-    def collected(*, device: str | None, precision: Precision, memory_limit: int | None, skip: Skip, **others: Any) -> Any:
+    def collect(*, device: str | None, precision: Precision, memory_limit: int | None, skip: Skip, **others: Any) -> Any:
         limit = None if memory_limit is None else memory_limit << 20
         return command(**others, compute=ComputeOptions(device, precision, limit, skip))
 
@@ -179,7 +179,7 @@ def backend_options(command: Command) -> Command:
             help="off: compute everything; exact: do not compute unchanged parts again, with the same bits.",
         ),
     )
-    decorated: Any = grouped("The device", *options)(collected)
+    decorated: Any = group_options("The device", *options)(collect)
     return decorated
 
 
@@ -196,14 +196,14 @@ def perceptual_options(command: Command) -> Command:
     """Add the options of metrics that need further packages; the command gets ``perceptual``, a ``Perceptual``."""
 
     @wraps(command)
-    def collected(*, flip: bool, vmaf: bool, **others: Any) -> Any:
+    def collect(*, flip: bool, vmaf: bool, **others: Any) -> Any:
         return command(**others, perceptual=Perceptual(flip, vmaf))
 
     options = (
         click.option("--flip", is_flag=True, help="FLIP too  [needs the extra metrics]"),
         click.option("--vmaf", is_flag=True, help="VMAF too  [needs the extra metrics]"),
     )
-    decorated: Any = grouped("Metrics", *options)(collected)
+    decorated: Any = group_options("Metrics", *options)(collect)
     return decorated
 
 

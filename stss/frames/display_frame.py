@@ -64,11 +64,11 @@ def prepare(buffers: Buffers, to_display: Transfer, depth: DepthMode, *, copy: b
         nov=own(buffers.nov),
         stencil=own(buffers.stencil),
         position=own(buffers.position),
-        carried={} if buffers.color is None else _carried(buffers, buffers.color, to_display),
+        carried={} if buffers.color is None else _planes_to_carry(buffers, buffers.color, to_display),
     )
 
 
-def _carried(buffers: Buffers, color: Image, to_display: Transfer) -> dict[str, Image]:
+def _planes_to_carry(buffers: Buffers, color: Image, to_display: Transfer) -> dict[str, Image]:
     planes = {name: np.array(plane, np.float32) for name, plane in buffers.carried.items()}
     above = highlights(color) if to_display.clips else None
     return planes if above is None else {**planes, HIGHLIGHTS: above}

@@ -73,7 +73,7 @@ def encode_exr(
         spec.channelformats = tuple(oiio.TypeDesc(name) for name in formats)
     spec.attribute("compression", "zip")
     spec.attribute("DateTime", "")  # otherwise it is the time of writing, and equal images would differ in bytes
-    data = _encoded(path, ".exr", spec, pixels, metadata)
+    data = _encode(path, ".exr", spec, pixels, metadata)
     if not is_whole_exr(data, pixels.shape[0]):
         raise _cut_short(path)
     return data
@@ -92,7 +92,7 @@ def encode_png(path: Path, pixels: np.ndarray[Any, np.dtype[np.uint8]], metadata
     """
     spec = oiio.ImageSpec(pixels.shape[1], pixels.shape[0], pixels.shape[2], "uint8")
     spec.attribute("oiio:ColorSpace", "srgb_rec709_scene")
-    data = _encoded(path, ".png", spec, pixels, {name: value for name, value in metadata.items() if name not in _OF_A_SCENE})
+    data = _encode(path, ".png", spec, pixels, {name: value for name, value in metadata.items() if name not in _OF_A_SCENE})
     if not whole_png(io.BytesIO(data[8:])):
         raise _cut_short(path)
     return data
@@ -109,7 +109,7 @@ def require_finite(path: Path, names: tuple[str, ...], pixels: Array) -> None:
             raise ValueError(f"{path}: channel {name}: {int(bad.sum())} non-finite values, first at (y={y}, x={x})")
 
 
-def _encoded(path: Path, suffix: str, spec: oiio.ImageSpec, pixels: Pixels, metadata: Mapping[str, Value]) -> bytes:
+def _encode(path: Path, suffix: str, spec: oiio.ImageSpec, pixels: Pixels, metadata: Mapping[str, Value]) -> bytes:
     for name, value in metadata.items():
         if isinstance(value, tuple):
             spec.attribute(name, oiio.TypeDesc(_TYPES.get(name, f"float[{len(value)}]")), value)

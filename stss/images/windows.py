@@ -39,8 +39,8 @@ class PixelWindow(NamedTuple):
 
     def within(self, other: PixelWindow) -> tuple[slice, slice]:
         """Rows and columns of the common part, in an array of ``other``; empty slices if there is none."""
-        rows = _shared(self.y, self.height, other.y, other.height)
-        return rows, _shared(self.x, self.width, other.x, other.width)
+        rows = _overlap(self.y, self.height, other.y, other.height)
+        return rows, _overlap(self.x, self.width, other.x, other.width)
 
     def mask(self, other: PixelWindow) -> Mask:
         """(H, W) of ``other``: True within this window."""
@@ -69,6 +69,6 @@ def moved(plane: NDArray[Scalar], window: PixelWindow, to: PixelWindow) -> NDArr
     return result
 
 
-def _shared(start: int, length: int, other: int, length_other: int) -> slice:
+def _overlap(start: int, length: int, other: int, length_other: int) -> slice:
     first = min(max(start - other, 0), length_other)
     return slice(first, max(first, min(start + length - other, length_other)))

@@ -167,7 +167,7 @@ class _Store:
     def _write(self, name: str, data: bytes) -> str:
         folder = self._folder or self._enter()
         folder.write(name, data)
-        return f"{_quoted(folder.path.name)}/{name}"
+        return f"{_quote(folder.path.name)}/{name}"
 
     def _enter(self) -> OutputFolder:
         self._folder = page_folder(self._path)
@@ -175,7 +175,7 @@ class _Store:
         return self._folder
 
 
-def _quoted(name: str) -> str:
+def _quote(name: str) -> str:
     from urllib.parse import quote
 
     return quote(name)

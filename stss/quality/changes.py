@@ -58,7 +58,7 @@ class Follower:
         return 255 * float(np.abs(d - d_true).mean(dtype=np.float64)) if d.size else None
 
     def _load(self, number: int) -> DisplayFrame:
-        buffers = self._sequence.displayed(self._sequence.load(number, color=False))
+        buffers = self._sequence.crop_to_display(self._sequence.load(number, color=False))
         return prepare(buffers, transfer("none"), self._sequence.profile.depth_normalisation)
 
 

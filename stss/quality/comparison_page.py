@@ -14,7 +14,7 @@ from stss.quality.compare import BELOW, METRICS, Comparison, cells, facts
 from stss.quality.output_and_truth import FALLBACK, Pair
 from stss.sequence.reader import Sequence as Frames
 from stss_ground.output.write_whole import write_named
-from stss_ground.pages.page import definitions, folded, table
+from stss_ground.pages.page import definitions, fold, table
 from stss_ground.pages.plot import PlotLine, plot
 from stss_ground.progress import Track
 from stss_ground.terminal import printable
@@ -84,7 +84,7 @@ class RenderedInputs:
         if source is None:
             return None
         if self._last is None or self._last[0] != source:
-            color = self._sequence.displayed(self._sequence.load(source)).color
+            color = self._sequence.crop_to_display(self._sequence.load(source)).color
             assert color is not None
             self._last = source, transfer(self._pairs[number].transfer or FALLBACK).display(color)
         return self._last[1]
@@ -135,7 +135,7 @@ def write_comparison(
         tables=[
             *tables,
             *(
-                folded(f"{version.name}: every frame", scores_table(version.comparison, version.name))
+                fold(f"{version.name}: every frame", scores_table(version.comparison, version.name))
                 if len(versions) > 2
                 else scores_table(version.comparison, f"{version.name}: every frame" if several else "Every frame")
                 for version in versions

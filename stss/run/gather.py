@@ -96,7 +96,7 @@ def gather(
     require_places(folders=[target], inputs=inputs)
     with locked(parts), target.open(refusal=None):
         remove_unfinished(parts)
-        sums, lists = _checked(folders, target, before, track)
+        sums, lists = _check_parts(folders, target, before, track)
         if not overwrite:
             _require_same(target, sums)
         makers = _require_alike(folders, None if overwrite else target)
@@ -151,7 +151,7 @@ def _is_folder(path: Path) -> bool:
     return path.is_dir() and not path.is_symlink()
 
 
-def _checked(
+def _check_parts(
     folders: Sequence[Path], target: OutputFolder, before: Mapping[str, str], track: Track
 ) -> tuple[dict[str, str], dict[str, str]]:
     """Look at every file of all parts.

@@ -13,7 +13,7 @@ AUTO = "auto"
 """In place of a name of weights: choose the set that suits the frames."""
 
 
-def suited(sampling: Sampling) -> str:
+def weights_for(sampling: Sampling) -> str:
     """The name of the weights for frames with this sampling."""
     return ANTIALIASED if sampling.antialiased else REALTIME
 
@@ -36,6 +36,6 @@ def choose_weights(source: str, sequence: Sequence, tell: Callable[[str], None],
     if not needed:
         return load(BILINEAR)
     sampling = judge_sampling(sequence)
-    name = suited(sampling)
+    name = weights_for(sampling)
     tell(f"weights: {name} ({sampling.reason}); --weights chooses others")
     return load(name)

@@ -58,7 +58,7 @@ def numbered_files(paths: Iterable[Path], end: str = "") -> list[NumberedFile]:
     Raises:
         InputError: a number has more than `MAX_DIGITS` digits.
     """
-    stems = [(path, _composed(path.stem)) for path in paths]
+    stems = [(path, _compose(path.stem)) for path in paths]
     matches = [
         (path, match[1], match[2], match[3] + end)
         for path, stem in stems
@@ -88,7 +88,7 @@ def find_frames(path: Path, endings: Collection[str]) -> Frames:
     """
     stem = path.stem if path.suffix.lower() == ".exr" else path.name
     # A folder's name may have a #. Path.is_dir raises where a folder above cannot be entered.
-    pattern = None if os.path.isdir(path) else _PATTERN.fullmatch(_composed(stem))  # noqa: PTH112
+    pattern = None if os.path.isdir(path) else _PATTERN.fullmatch(_compose(stem))  # noqa: PTH112
     folder = path if pattern is None else path.parent
     end = pattern[2] if pattern is not None and _DIGIT.search(pattern[2]) else ""
     images = (f for f in _files(path, folder) if f.suffix.lower() == ".exr" and not f.name.startswith("."))
@@ -106,7 +106,7 @@ def find_frames(path: Path, endings: Collection[str]) -> Frames:
         if other != file.path:
             raise InputError(f"{file.path}: the same frame as {other.name}")
     if not by_prefix:
-        kinds = "NAME.0001.exr" if "" in endings else f"NAME{_listed(endings)}.0001.exr"
+        kinds = "NAME.0001.exr" if "" in endings else f"NAME{_list_endings(endings)}.0001.exr"
         raise InputError(f"{path}: no frames; expected files named like {kinds}{_fractions(files)}")
     if len(by_prefix) > 1:
         stems = ", ".join(name or "(no name)" for name in sorted(by_prefix))
@@ -156,12 +156,12 @@ def _name(before: str, after: str, endings: Collection[str]) -> tuple[str, str] 
     """A name without its number, as (sequence, ending); None where no ending fits. The longest ending wins."""
     name = (before.rstrip(_SEPARATORS) + after).rstrip(_SEPARATORS)
     for ending in sorted(endings, key=len, reverse=True):
-        if name.endswith(_composed(ending)):
-            return name.removesuffix(_composed(ending)).rstrip(_SEPARATORS), ending
+        if name.endswith(_compose(ending)):
+            return name.removesuffix(_compose(ending)).rstrip(_SEPARATORS), ending
     return None
 
 
-def _composed(name: str) -> str:
+def _compose(name: str) -> str:
     return unicodedata.normalize("NFC", name)
 
 
@@ -170,5 +170,5 @@ def _gap(before: str) -> str:
     return before[len(before.rstrip(_SEPARATORS)) :]
 
 
-def _listed(endings: Collection[str]) -> str:
+def _list_endings(endings: Collection[str]) -> str:
     return "|".join(sorted(ending for ending in endings if ending))

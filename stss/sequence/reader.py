@@ -75,7 +75,7 @@ class Sequence:
         """(H, W) of every frame."""
         return self.canvas.size
 
-    def displayed(self, buffers: Buffers) -> Buffers:
+    def crop_to_display(self, buffers: Buffers) -> Buffers:
         """A frame without its pixels beyond the display window."""
         if self.canvas == self.display:
             return buffers

@@ -147,10 +147,10 @@ def save(path: str | Path, weights: Weights, metadata: Mapping[str, str]) -> Non
         WeightsError: ``weights`` are not of this network.
     """
     checked = check(weights)
-    write_named(Path(path), _serialised(checked, {**metadata, **format_metadata(checked)}))
+    write_named(Path(path), _serialise(checked, {**metadata, **format_metadata(checked)}))
 
 
-def _serialised(weights: Weights, metadata: Mapping[str, str]) -> bytes:
+def _serialise(weights: Weights, metadata: Mapping[str, str]) -> bytes:
     # Not safetensors.numpy.save: it writes the metadata in a different order each time.
     header: dict[str, Any] = {"__metadata__": dict(sorted(metadata.items()))}
     numbers = [weights[name].astype("<f4").tobytes() for name in weights]

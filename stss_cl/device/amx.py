@@ -64,10 +64,10 @@ def product_is_right(device: Device, *, emulate: bool) -> bool:
     inputs = {name: constant(device, array) for name, array in {"a": a, "b": b, "bias": bias}.items()}
     Kernel(program, "matrix_amx", {**inputs, "sums": output}).enqueue(device.queue, (1,), (1,))
     cl.enqueue_copy(device.queue, got, output)
-    return bool((got == multiplied(np.broadcast_to(bias, (16, 16)), a, b)).all())
+    return bool((got == multiply(np.broadcast_to(bias, (16, 16)), a, b)).all())
 
 
-def multiplied(sums: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def multiply(sums: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """``sums`` (P, 16) + ``a`` (P, 32) ``b`` (16, 16, 2), with the units' roundings: even and odd places have separate sums.
 
     Source: Intel's Software Developer's Manual, TDPBF16PS.

@@ -64,10 +64,10 @@ class Kernel:
         for name, value in values.items():
             if name in self._places:
                 place, kind = self._places[name]
-                self._kernel.set_arg(place, self._typed(name, value, kind))
+                self._kernel.set_arg(place, self._convert(name, value, kind))
             elif name in self._members:
                 place, kind = self._members[name]
-                self._structs[place][1][name] = self._typed(name, value, kind)
+                self._structs[place][1][name] = self._convert(name, value, kind)
                 structs.add(place)
             else:
                 raise TypeError(f"kernel {self.name}: it has no argument {name}")
@@ -96,7 +96,7 @@ class Kernel:
         self._open = missing
         return event
 
-    def _typed(self, name: str, value: Any, kind: str) -> Any:
+    def _convert(self, name: str, value: Any, kind: str) -> Any:
         """``value`` in the type that the kernel takes."""
         if kind.endswith("*"):
             fits = value is None or isinstance(value, cl.MemoryObjectHolder | cl.LocalMemory)

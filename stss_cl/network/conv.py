@@ -16,7 +16,7 @@ from stss_cl.device.grid import ceil_div, list_size
 from stss_cl.device.tuning import tuning_for
 from stss_cl.network import conv_gpu
 from stss_cl.network.layer import FAST, KernelSource, LayerLaunch, Shape, Work, layer
-from stss_cl.network.pack_weights import Packed, amx_bias, amx_tiles, in_lanes, paired, winograd
+from stss_cl.network.pack_weights import Packed, amx_bias, amx_tiles, in_lanes, pair_inputs, winograd
 from stss_cl.network.tiles import Maps, Tiling, of_convolution
 
 
@@ -220,7 +220,7 @@ def _winograd(device: Device, packed: Packed, out: Padded, side: int, stride: in
             "PAIRED": in_pairs,
             "PREFETCH": device.takes_prefetch,
         },
-        weight=paired(weight, outputs) if in_pairs else weight,
+        weight=pair_inputs(weight, outputs) if in_pairs else weight,
         gate=None if gate is None else winograd(gate, side, 1, stride),
         tiling=tiling,
         size=(list_size(device, tiling.most, row.tiles),),

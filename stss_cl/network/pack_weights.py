@@ -115,7 +115,7 @@ def in_lanes(packed: Packed, vector: int) -> tuple[NDArray[np.float32], NDArray[
     return np.pad(lanes, ((0, 0), (0, 0), (0, 0), (0, outputs + empty - lanes.shape[-1]))), None
 
 
-def paired(transformed: NDArray[np.float32], outputs: int) -> NDArray[np.float32]:
+def pair_inputs(transformed: NDArray[np.float32], outputs: int) -> NDArray[np.float32]:
     """Rearrange a result of `winograd` of one block: the last 8 ``outputs`` of two inputs share a vector (``-D PAIRED``)."""
     whole, last = transformed[..., : outputs - 8], transformed[..., outputs - 8 : outputs]
     one, two = slice(0, None, 2), slice(1, None, 2)

@@ -71,7 +71,7 @@ class FrameCache:
         if self._is_first or not looking:
             return 1.0
         share = 1.0 if dirty is None else float(dirty.mean())
-        return share if share <= MOST_CHANGED else self._changed()  # for a small share the host need not wait
+        return share if share <= MOST_CHANGED else self._changed_share()  # for a small share the host need not wait
 
     def load(self) -> None:
         """Let the runtime load or compile all kernels that any frame needs."""
@@ -93,7 +93,7 @@ class FrameCache:
         else:
             staging(self._device).write(self.prepare.dirty, tiles)
 
-    def _changed(self) -> float:
+    def _changed_share(self) -> float:
         """The share of pixels whose inputs differ from the last ones; waits for them."""
         inputs = self.layers.inputs
         shares: list[float] = []

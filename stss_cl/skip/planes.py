@@ -81,9 +81,9 @@ class Planes:
         if isinstance(array, cla.Array):
             return on_device(self._device, name, array, dtype)
         require_dtype(name, array, np.dtype(dtype))
-        return incoming(self._device, array) if self._device.is_cpu else self._uploaded(array)
+        return incoming(self._device, array) if self._device.is_cpu else self._upload(array)
 
-    def _uploaded(self, array: NDArray[Any]) -> cl.Buffer:
+    def _upload(self, array: NDArray[Any]) -> cl.Buffer:
         buffer: Any = self._pool.allocate(array.nbytes)
         staging(self._device).write(buffer, array, self.queue)
         return buffer

@@ -284,7 +284,7 @@ class Stream:
         They are equal where nothing moves, and surface and colours are the same in all frames that the two read.
         """
         last = cache.last
-        if last is None or _missing(steps) != _missing(last.steps):
+        if last is None or _are_missing(steps) != _are_missing(last.steps):
             return None
         oldest, newest = min(last.oldest, frames[-1 - steps[-1]].number), max(last.number, frames[-1].number)
         moved = uploaded.changed(oldest, newest)
@@ -302,6 +302,6 @@ def _last(frames: list[UploadedFrame], steps: tuple[int, ...], valid: Outgoing |
     return Last(frames[-1].number, frames[-1 - steps[-1]].number, steps, tuple(frames[-1 - step].number for step in steps), valid)
 
 
-def _missing(steps: tuple[int, ...]) -> list[bool]:
+def _are_missing(steps: tuple[int, ...]) -> list[bool]:
     """For each older colour frame, whether it replaces a missing one."""
     return [older == newer for newer, older in pairwise(steps)]

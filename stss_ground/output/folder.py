@@ -86,7 +86,7 @@ class OutputFolder:
 
     def present(self) -> list[Path]:
         """The existing files with names of this folder's files, and the list of checksums."""
-        paths = [path for path in self._listed() if self._name.fullmatch(path.name)]
+        paths = [path for path in self._list_files() if self._name.fullmatch(path.name)]
         return [path for path in (*paths, self.path / SUMS) if os.path.lexists(path)]
 
     @contextmanager
@@ -247,7 +247,7 @@ class OutputFolder:
     def _lines(self) -> bytes:
         return "".join(f"{digest}  {name}\n" for name in sorted(self._sums) for digest in self._sums[name]).encode()
 
-    def _listed(self) -> list[Path]:
+    def _list_files(self) -> list[Path]:
         paths: list[Path] = []
         for folder in self.folders():
             if folder.is_dir():

@@ -93,7 +93,7 @@ def table(caption: str, headings: Sequence[str], rows: Sequence[Sequence[str]], 
     )
 
 
-def folded(summary: str, html: str) -> str:
+def fold(summary: str, html: str) -> str:
     """Markup that opens at a click on ``summary``, text."""
     return f"<details><summary>{escape(summary)}</summary>{html}</details>"
 
@@ -101,4 +101,4 @@ def folded(summary: str, html: str) -> str:
 def definitions(summary: str, terms: Sequence[tuple[str, str]]) -> str:
     """Make a list of terms and their meanings, which opens at a click."""
     items = "".join(f"<dt>{escape(term)}</dt><dd>{escape(meaning)}</dd>" for term, meaning in terms)
-    return folded(summary, f"<dl>{items}</dl>")
+    return fold(summary, f"<dl>{items}</dl>")

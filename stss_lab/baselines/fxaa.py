@@ -52,7 +52,7 @@ def fxaa(image: Image) -> Image:
     share = np.maximum(edge, dot)[:, None].astype(image.dtype)
 
     smooth = image.copy()
-    neighbour = image[_clamped(luma, y + across[:, 0], x + across[:, 1])]
+    neighbour = image[_clamp(luma, y + across[:, 0], x + across[:, 1])]
     smooth[y, x] += (neighbour - image[y, x]) * share
     return smooth
 
@@ -86,7 +86,7 @@ def _steeper_side(around: dict[tuple[int, int], Plane], luma: Plane, y: Index, x
 def _share_by_slope(luma: Plane, y: Index, x: Index, across: Index) -> Array:
     """(N,) share of the neighbour across: 1/2 at the step of a jagged edge, falling to 0 halfway along it."""
     along = np.abs(across[:, ::-1])
-    here, there = luma[y, x], luma[_clamped(luma, y + across[:, 0], x + across[:, 1])]
+    here, there = luma[y, x], luma[_clamp(luma, y + across[:, 0], x + across[:, 1])]
     mean, limit = (here + there) / 2, np.abs(here - there) / 4
 
     def end(direction: int) -> tuple[Array, Array]:
@@ -95,7 +95,7 @@ def _share_by_slope(luma: Plane, y: Index, x: Index, across: Index) -> Array:
         searching = np.ones(len(y), np.bool_)
         for step in ENDS:
             v, u = y + direction * step * along[:, 0], x + direction * step * along[:, 1]
-            on = (luma[_clamped(luma, v, u)] + luma[_clamped(luma, v + across[:, 0], u + across[:, 1])]) / 2 - mean
+            on = (luma[_clamp(luma, v, u)] + luma[_clamp(luma, v + across[:, 0], u + across[:, 1])]) / 2 - mean
             off = np.where(searching, on, off)
             distance = np.where(searching, step, distance)
             searching &= np.abs(on) < limit
@@ -117,5 +117,5 @@ def _share_by_contrast(around: dict[tuple[int, int], Plane], luma: Plane, contra
     return SOFTNESS * ((3 - 2 * unlike) * unlike**2) ** 2
 
 
-def _clamped(luma: Plane, y: Index, x: Index) -> tuple[Index, Index]:
+def _clamp(luma: Plane, y: Index, x: Index) -> tuple[Index, Index]:
     return np.clip(y, 0, luma.shape[0] - 1), np.clip(x, 0, luma.shape[1] - 1)

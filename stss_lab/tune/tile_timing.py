@@ -88,7 +88,7 @@ class Trials:
             candidates: tile sizes, timed in turns.
             rounds: timings of each.
         """
-        packed = _packed(shape)
+        packed = _pack(shape)
         small = _Layer(device, shape, CHECKED, packed)
         frame = _Layer(device, shape, (ceil8(size[0]) // shape.divisor, ceil8(size[1]) // shape.divisor), packed)
         want = small.run(PLAIN)
@@ -196,7 +196,7 @@ def _seconds(device: Device, launch: Launch, repeat: int) -> float:
     return (time.perf_counter() - start) / repeat
 
 
-def _packed(shape: LayerShape) -> Packed:
+def _pack(shape: LayerShape) -> Packed:
     """Weights that keep activations of order 1."""
     random, inputs = np.random.default_rng(0), shape.a + shape.b
     branches = {".conv_feature": shape.outputs, ".conv_mask.0": 1} if shape.gated else {"": shape.outputs}

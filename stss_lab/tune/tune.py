@@ -131,7 +131,7 @@ def run(name: str | None, size: tuple[int, int], *, console: Console, log: Conso
         row, trials, lines = tune(device, size, begin)
     print_lines(lines, console)
     for (outputs, sizes), why in trials.refused.items():
-        console.print(f"refused for {outputs} outputs: {_shown(sizes)}: {why}", markup=False, highlight=False, soft_wrap=True)
+        console.print(f"refused for {outputs} outputs: {_format(sizes)}: {why}", markup=False, highlight=False, soft_wrap=True)
     new = row != built_in(device)
     path = store(device, row if new else None)
     console.print(f"stored: {path}" if new else "the built-in row stays", markup=False, highlight=False, soft_wrap=True)
@@ -147,12 +147,12 @@ def print_lines(lines: list[Line], console: Console) -> None:
         first, second = (f"{1e3 * x:.2f}" if np.isfinite(x) else "-" for x in line.seconds)
         ratio = f"{before / after:.3f}" if after and np.isfinite([before, after]).all() else "-"
         table.add_row(
-            line.what, _shown(line.built_in), first, _shown(line.best), second, ratio, "new" if line.new else "built-in"
+            line.what, _format(line.built_in), first, _format(line.best), second, ratio, "new" if line.new else "built-in"
         )
     console.print(table, markup=False, highlight=False)
 
 
-def _shown(choice: Choice) -> str:
+def _format(choice: Choice) -> str:
     if choice is None or isinstance(choice, str):
         return choice or "-"
     return " ".join(str(int(number)) for number in astuple(choice))

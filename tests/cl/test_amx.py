@@ -61,7 +61,7 @@ def sums_of(inputs, packed, size, stride):
                 a = values[first[:, None] + np.arange(32)]
                 for part in range(len(bias) // 16):
                     place = slice(16 * part, 16 * part + 16)
-                    sums[:, place] = amx.multiplied(sums[:, place], a, tiles[step, part])
+                    sums[:, place] = amx.multiply(sums[:, place], a, tiles[step, part])
                 step += 1
     return sums.reshape(*size, -1)
 
@@ -102,8 +102,8 @@ def test_the_emulated_product_is_right(device):
 
 
 def test_a_wrong_product_is_seen(device, monkeypatch):
-    right = amx.multiplied
-    monkeypatch.setattr(amx, "multiplied", lambda sums, a, b: right(sums, a, b[:, ::-1]))
+    right = amx.multiply
+    monkeypatch.setattr(amx, "multiply", lambda sums, a, b: right(sums, a, b[:, ::-1]))
     assert not amx.product_is_right(device, emulate=True)
 
 
