@@ -121,8 +121,11 @@ def network_case(stage: str, size: Size, rng: Generator) -> tuple[Inputs, Weight
     names = {
         "history": ("history",), "encoder": ("color", "gbuffer"), "erm": ("x4", "gbuffer"),
         "decoder": ("reshaded", "feature", "x1", "x2", "x3", "color"), "network": ("color", "gbuffer", "history"),
-    }[stage]  # fmt: skip
-    inputs: Inputs = {name: rng.random(shapes[name], np.float32) for name in names}
+    }  # fmt: skip
+    assert stage in names, (
+        f"{stage}: no inputs; expected a row of conformance/cases/large_inputs.py, and one of alike.py beside it"
+    )
+    inputs: Inputs = {name: rng.random(shapes[name], np.float32) for name in names[stage]}
     if stage in ("encoder", "erm", "network"):
         inputs["mask"] = (rng.random(size) < 0.8).astype(np.float64)
     return inputs, made_weights("random", 0)

@@ -69,6 +69,8 @@ def run_suite(
     require_known(known)
     plugin = SuitePlugin(judge, known, stages, required, on_result, large_last=first_only)
     files = [str(SUITE_FOLDER / f"test_{stage}.py") for stage in SUITE if stage in stages]
+    for file in files:
+        assert Path(file).exists(), f"{file}: no tests of this stage; expected them there"
     own = ("-c", os.devnull, "--rootdir", str(SUITE_FOLDER), "--noconftest")
     arguments = [*files, *own, "--import-mode=importlib", "--capture=sys", "-W", "ignore"]
     arguments += [f"-pno:{name}" for name in ("cacheprovider", "terminal", "logging", "faulthandler", *_COLLECTING)]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""``make mutants``: whether ``tests/ref`` finds a fault at each branch, constant and operator of the reference.
+"""``make faults``: whether ``tests/ref`` finds a fault at each branch, constant and operator of the reference.
 
 The judge compares ports with the reference, so no port finds a fault of the reference: its own tests must. Faults are made from the source,
 one at a time. All tests but those that need reference data are collected once; a fork has one fault and runs them until one fails.

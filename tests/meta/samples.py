@@ -25,6 +25,7 @@ Size = tuple[int, int]
 @cache
 def samples(stage: str) -> tuple[Case, ...]:
     """Some inputs of ``stage``, the same at every call."""
+    assert stage in _SAMPLES, f"{stage}: no samples; expected a row of tests/meta/samples.py"
     generator = np.random.default_rng(list(STAGES).index(stage))
     sent = (make(generator) for make in engine_inputs(stage)) if stage in ENGINE_STAGES else ()
     pairs = [*_SAMPLES[stage](generator), *(case if STAGES[stage].weights else (case, None) for case in sent)]
