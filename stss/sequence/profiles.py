@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any, Literal, cast
 
@@ -178,12 +179,18 @@ def load_profile(name_or_path: str | Path, **changes: Any) -> Profile:
 
 def _read(path: Path) -> Table:
     """A file's table, with what it leaves out from its base."""
-    table = read_toml(path, InputError)
+    table = Table(path, "", InputError, _built_in(path)) if path.parent == _TABLES else read_toml(path, InputError)
     if "base" in table.rest:
         base = table.choice("base", profile_names())
         whole = {**_read(_TABLES / f"{base}.toml").rest, "name": path.stem, "title": f"{path.stem}, changed from {base}"}
         table.rest = _merge(whole, table.rest)
     return table
+
+
+@cache
+def _built_in(path: Path) -> dict[str, Any]:
+    """A built-in profile, parsed once: every sequence tries all of them."""
+    return read_toml(path, InputError).rest
 
 
 def _merge(top: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:

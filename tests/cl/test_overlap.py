@@ -89,7 +89,7 @@ def test_frames_one_ahead_have_the_bits_of_calls(device, skip, there):
     assert skip == "off" or {"none", "changed", "whole"} <= {report.network for report in messages}
 
 
-@settings(max_examples=10)
+@settings(max_examples=6)
 @given(calls=sequences())
 def test_whatever_comes_in_whatever_order(gpu, calls):
     """Windows out of turn, repeated, cut short; images are held or not."""

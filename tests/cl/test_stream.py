@@ -49,7 +49,7 @@ def pair(request, device):
     return tuple(Stream(weights, device, precision, skip=skip) for skip in ("off", "exact"))
 
 
-@settings(max_examples=8)
+@settings(max_examples=5)
 @given(calls=sequences())
 def test_what_is_kept_changes_no_bit(pair, calls):
     """Nor an image that the caller holds: the next one may overwrite the last only if no caller holds it."""

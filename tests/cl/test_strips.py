@@ -66,7 +66,11 @@ def test_too_small_a_limit_says_what_is_needed():
 
 @pytest.mark.parametrize(
     ("precision", "size", "skip"),
-    [("float32", (8, 8), "exact"), ("float32-direct", (272, 480), "off"), thorough("half", (272, 480), "exact")],
+    [
+        ("float32", (8, 8), "exact"),
+        ("float32", (272, 480), "off"),
+        *(thorough(p, (272, 480), "exact") for p in ("float32-direct", "half")),
+    ],
 )
 @pytest.mark.usefixtures("launched")
 def test_the_limit_counts_what_is_allocated(device, monkeypatch, precision, size, skip):

@@ -80,7 +80,7 @@ def two_streams(request, device):
     return [Stream({"read": WEIGHTS, "unread": UNREAD}[request.param], device) for _ in range(2)]
 
 
-@settings(max_examples=6)
+@settings(max_examples=4)
 @example(case=FIRST_COLOR_LAST_READ)
 @given(case=FILMS)
 def test_arrays_may_be_rewritten_once_their_frame_left_the_window(two_streams, case):

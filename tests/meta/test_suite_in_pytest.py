@@ -10,6 +10,8 @@ from xml.etree import ElementTree
 
 import pytest
 
+from tests.tiers import thorough
+
 SUITE = Path(__file__).parents[2] / "conformance" / "suite"
 FOLDER = [str(SUITE)]
 INSTALLED = ["-p", "conformance.pytest_plugin", "--pyargs", "conformance.suite"]
@@ -61,8 +63,8 @@ def test_a_checkout_judges_a_port(here):
     ("arguments", "words"),
     [
         ([], "expected either --port package.module:factory or --exec PROGRAM"),
-        (["--port", "my_port:Nobody"], "module my_port has no Nobody"),
-        (["--port", "my_port:Port", "--known-failures", "nowhere"], "nowhere: No such file"),
+        thorough(["--port", "my_port:Nobody"], "module my_port has no Nobody"),
+        thorough(["--port", "my_port:Port", "--known-failures", "nowhere"], "nowhere: No such file"),
     ],
 )
 def test_a_mistake_is_one_line(here, arguments, words):

@@ -5,6 +5,7 @@ import itertools
 import re
 import shutil
 import time
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -13,6 +14,7 @@ from rich.console import Console
 from stss_ground import progress
 from stss_ground.progress import show_progress, show_steps
 from stss_lab.bench import gpu_report
+from stss_lab.stress import measure
 from tests.app.conftest import PLAIN
 from tests.hostile.cases import call
 
@@ -78,6 +80,8 @@ def folder(demo, tmp_path_factory):
 )
 def test_every_long_command_has_a_bar_with_the_time_left(folder, tmp_path, monkeypatch, command):
     """`stss tune`, `demo` and `conform` have their own tests of progress."""
+    planned = measure.make_plan
+    monkeypatch.setattr(measure, "make_plan", lambda *options: replace(planned(*options), seeds=1, size=(16, 24), sizes=(8, 16)))
     for name in ("frames", "truth", "out", "parts"):
         shutil.copytree(folder / name, tmp_path / name)
     monkeypatch.chdir(tmp_path)
