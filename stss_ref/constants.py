@@ -19,6 +19,11 @@ Gather = Literal["longest", "nearest", "bilinear"]
 """How a motion is read between pixels: see ``stss_ref.motion_chain.GATHERS``."""
 
 
+EARLIER_SHARE = 0.375
+"""The share that stage ``accumulate`` takes of the image shown before: one that lies n frames back has ``EARLIER_SHARE ** n``
+(decision 45)."""
+
+
 @dataclass(frozen=True)
 class HoleLimits:
     """The constants of the hole test (spec 4; ExtraNet).

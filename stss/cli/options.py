@@ -151,9 +151,11 @@ def backend_options(command: Command) -> Command:
     """Add the options of commands that compute frames; the command gets ``backend`` and ``compute``, a ``ComputeOptions``."""
 
     @wraps(command)
-    def collect(*, device: str | None, precision: Precision, memory_limit: int | None, skip: Skip, **others: Any) -> Any:
+    def collect(
+        *, device: str | None, precision: Precision, memory_limit: int | None, skip: Skip, accumulate: bool, **others: Any
+    ) -> Any:
         limit = None if memory_limit is None else memory_limit << 20
-        return command(**others, compute=ComputeOptions(device, precision, limit, skip))
+        return command(**others, compute=ComputeOptions(device, precision, limit, skip, accumulate))
 
     options = (
         click.option("--backend", type=click.Choice(BACKENDS), default="cl", show_default=True, help="OpenCL, or the reference."),
@@ -177,6 +179,11 @@ def backend_options(command: Command) -> Command:
             default="exact",
             show_default=True,
             help="off: compute everything; exact: do not compute unchanged parts again, with the same bits.",
+        ),
+        click.option(
+            "--accumulate",
+            is_flag=True,
+            help="Mix each frame with the one shown before it: less flicker. Needs the frames in order.",
         ),
     )
     decorated: Any = group_options("The device", *options)(collect)

@@ -77,7 +77,8 @@ def run(
         _tell_of_png(frames, options)
     reads = [Path(weights)]
     loaded = choose_weights(weights, frames, _tell)
-    plan(frames, out, options, reads)  # the user's mistakes are said before a device is opened, which may take a minute
+    # The user's mistakes are said before a device is opened, which may take a minute.
+    plan(frames, out, options, reads, accumulates=compute.accumulate)
     first, last = options.frames or (frames.numbers[0], frames.numbers[-1])
     start, tally = time.monotonic(), Tally()
     try:

@@ -53,8 +53,11 @@ def run_on_cluster(
         engine: computes there.
 
     Raises:
-        InputError: as there; nothing answers at the address, workers differ, or workers die or hang again and again.
+        InputError: as there; the engine accumulates, nothing answers at the address, workers differ, or workers die or hang again and
+            again.
     """
+    if engine.compute.accumulate:
+        raise InputError("--cluster: with --accumulate each output depends on all before it; expected one of the two options")
     run_plan = plan(sequence, out, options, reads)
     work = Work(VERSION, sequence, run_plan.rendered, out, options, engine)
     with (

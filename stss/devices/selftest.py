@@ -28,6 +28,7 @@ from stss_cl.device.program import build
 from stss_cl.image_space.stages import ImageStages
 from stss_cl.skip.arrival import Arrival
 from stss_cl.skip.stream import Stream
+from stss_ref.accumulate import accumulate
 from stss_ref.frame import FrameInputs, prepare
 from stss_ref.network import network as reference_network
 from stss_ref.occlusion_warp import occlusion_warp
@@ -110,7 +111,7 @@ def nearest(device: Device, generator: np.random.Generator) -> None:
 
 
 def image_stages(device: Device, generator: np.random.Generator) -> None:
-    """Warping and splatting, bit for bit the reference in float32."""
+    """Warping, splatting and accumulation, bit for bit the reference in float32."""
     size = (24, 40)
     color, depth = generator.random((*size, 3)).astype(np.float32), generator.random(size).astype(np.float32)
     motion = generator.uniform(-9, 9, (*size, 2)).astype(np.float32)
@@ -125,6 +126,8 @@ def image_stages(device: Device, generator: np.random.Generator) -> None:
     occlusion_motion, filled = occlusion_warp(color, warped, motion, depth, valid)
     _exact("occlusion_motion", got["occlusion_motion"], occlusion_motion)
     _exact("occlusion_warp", got["occlusion_warp"], filled)
+    images = {"image": color, "before": warped, "motion": motion[::2, ::2]}
+    _exact("shown", stages.run_stage("accumulate", images)["shown"], accumulate(**images))
 
 
 class Shown(NamedTuple):

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from threading import Lock
 from typing import Protocol
 
+from stss.frames.accumulation import Accumulation
 from stss.frames.compute_options import ComputeOptions
 from stss.frames.display_frame import DisplayFrame, OnArrays
 from stss.weights.file import LoadedWeights, load
@@ -15,6 +16,7 @@ from stss_cl.cost import Cost
 from stss_cl.liveness import has_residual
 from stss_ground.arguments import require_choice, require_kind
 from stss_ground.errors import InputError
+from stss_ref.accumulate import accumulate
 from stss_ref.arrays import Image, Mask
 from stss_ref.constants import Gather
 from stss_ref.frame import FrameInputs, frame, prepare
@@ -96,6 +98,7 @@ class OpenCLBackend:
             tell(f"bfloat16: {why}; emulated, which is slow")
         self._stream = Stream(weights, device, options.precision, memory_limit=options.memory_limit, skip=options.skip)
         role = "" if device.kind.lower() == device.device_class else f" as {device.device_class}"
+        self.device = device
         self.name = f"cl {options.precision} on {device.name}{role}, {device.driver}"
 
     def expect(self, size: tuple[int, int]) -> None:
@@ -126,7 +129,7 @@ def open_backend(
     Args:
         name: one of ``BACKENDS``.
         weights: loaded weights, or an argument of `stss.weights.file.load`.
-        options: device, precision, memory limit and skipping.
+        options: device, precision, memory limit, skipping and accumulation.
         tell: called with lines for the user, for example when a self-test runs.
 
     Raises:
@@ -142,7 +145,13 @@ def open_backend(
     require_kind("weights", weights, (Weights, Mapping), "a name, a file, or weights that are loaded")
     weights = check(weights)
     if name == "cl":
-        return OpenCLBackend(weights, options, tell)
+        opened = OpenCLBackend(weights, options, tell)
+        if not options.accumulate:
+            return opened
+        from stss_cl.image_space.accumulate import Accumulate
+
+        return Accumulation(opened, Accumulate(opened.device))
     if options.device is not None or options.precision != "float32":
         raise InputError("backend ref: expected neither a device nor another precision than float32")
-    return ReferenceBackend(weights)
+    reference = ReferenceBackend(weights)
+    return Accumulation(reference, accumulate) if options.accumulate else reference

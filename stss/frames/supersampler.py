@@ -40,6 +40,7 @@ class Supersampler:
         precision: Precision = "float32",
         memory_limit: int | None = None,
         skip: Skip = "exact",
+        accumulate: bool = False,
         transfer: str = "srgb",
         depth: DepthMode = "scale",
         copy: bool = True,
@@ -51,11 +52,12 @@ class Supersampler:
         Args:
             weights: ``auto`` (``realtime``, since nothing is known of the frames), ``realtime``, ``antialiased``, ``bilinear``, a
                 ``.safetensors`` file, or loaded weights.
-            backend: ``cl``, ``ref`` or one from `open_backend`; then the options up to ``skip`` are its own.
+            backend: ``cl``, ``ref`` or one from `open_backend`; then the options up to ``accumulate`` are its own.
             device: part of an OpenCL device's name; None: ``$STSS_DEVICE``, or the fastest.
             precision: of ``stss_cl.options.PRECISIONS``.
             memory_limit: bytes for the network's buffers; larger frames are computed in strips, with the same bits.
             skip: ``exact``: unchanged parts are not computed again, with the same bits; ``off``.
+            accumulate: mix each image with the one before it (`stss_ref.accumulate`): less flicker.
             transfer: ``srgb``: scene-linear; the part above 1 is carried past the network. ``none``: display-referred.
             depth: ``scale`` or ``clip`` (spec 0).
             copy: False: motion, NoV, stencil and position are not copied; the caller must not write to them for six frames.
@@ -70,7 +72,7 @@ class Supersampler:
         self._curve, self._copy, self._check = transfer_named(transfer), copy, check
         self._depth: DepthMode = depth
         if isinstance(backend, str):
-            options = ComputeOptions(device, precision, memory_limit, skip)
+            options = ComputeOptions(device, precision, memory_limit, skip, accumulate)
             is_auto = isinstance(weights, str) and weights == "auto"
             backend = open_backend(backend, REALTIME if is_auto else weights, options, tell=tell)
         if not all(callable(getattr(backend, name, None)) for name in ("compute", "expect")):

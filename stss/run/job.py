@@ -83,8 +83,6 @@ def run(
             earlier run and neither ``resume`` nor ``overwrite`` is set.
     """
     run_plan = plan(sequence, out, options, reads, accumulates=backend.accumulates)
-    if backend.accumulates and options.resume:
-        raise InputError(f"--resume: {backend.method} makes each output from all before it; run again with --overwrite")
     folder = run_plan.folder
     job = FrameJob.of(sequence, run_plan.rendered, options, backend, weights, folder, partial(already_written, folder, options))
     summary = Summary([])
@@ -114,6 +112,8 @@ def plan(sequence: Sequence, out: Path, options: RunOptions, reads: Iterable[Pat
     """
     if options.resume and options.overwrite:
         raise InputError("--resume, --overwrite: expected one of them: keep what an earlier run finished, or replace it")
+    if accumulates and options.resume:
+        raise InputError("--resume: each output depends on all before it, so none can be kept; expected --overwrite")
     _require_cuts(sequence, options.cuts)
     rendered = choose_rendered(sequence.numbers, sequence.rendered, options.rendered, options.cuts)
     numbers = _numbers(sequence, options.frames)

@@ -20,7 +20,7 @@ from stss_cl.device.grid import grid
 from stss_cl.device.launch import Kernel
 from stss_cl.device.program import Program, build
 from stss_ref.arrays import ArrayError, require_dtype, require_finite, require_shape
-from stss_ref.constants import Gather, HoleLimits, HoleTest
+from stss_ref.constants import EARLIER_SHARE, Gather, HoleLimits, HoleTest
 
 Inputs = Mapping[str, NDArray[Any]]
 Outputs = dict[str, NDArray[Any]]
@@ -34,6 +34,11 @@ def hole_options(test: HoleTest) -> Mapping[str, object]:
 def program(device: Device, file: str, options: Mapping[str, object] | None = None) -> Program:
     """The program of an image-space ``file``, with correctly rounded division and roots if the device has them."""
     return build(device, file, options, "-cl-fp32-correctly-rounded-divide-sqrt" if device.correctly_rounded_divide else "")
+
+
+def accumulate_program(device: Device) -> Program:
+    """The program of stage ``accumulate``."""
+    return program(device, "accumulate.cl", {"SHARE": f"{EARLIER_SHARE}f"})
 
 
 class ImageStages:
@@ -183,6 +188,15 @@ def _rrm(stages: ImageStages, inputs: Inputs) -> Outputs:
     return {"valid": stages.download(masked, size, np.uint8)}
 
 
+def _accumulate(stages: ImageStages, inputs: Inputs) -> Outputs:
+    size = _size(inputs, "motion", 2)
+    display = 2 * size[0], 2 * size[1]
+    images = _planes(stages, inputs, display, {"image": 3, "before": 3}, ("image", "before"))
+    motion, shown = _planes(stages, inputs, size, {"motion": 2}), stages.buffer(display, 3)
+    stages.launch(accumulate_program(stages.device), "accumulate", size, **images, **motion, shown=shown)
+    return {"shown": stages.download(shown, (*display, 3))}
+
+
 STAGES: dict[str, Callable[[ImageStages, Inputs], Outputs]] = {
     "motion_chain": _motion_chain,
     "warp": _warp,
@@ -190,5 +204,6 @@ STAGES: dict[str, Callable[[ImageStages, Inputs], Outputs]] = {
     "occlusion_warp": _occlusion_warp,
     "reshade": _reshade,
     "rrm": _rrm,
+    "accumulate": _accumulate,
 }
 """The stages that ``ImageStages.run_stage`` runs."""

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stss.images.resample import catmull_rom, lanczos_centres
+from stss_ref.accumulate import box
 from stss_ref.arrays import Image, Plane
 from stss_ref.frame import FrameInputs, NetworkInputs
 from stss_ref.sample import follow, leads_inside
@@ -58,7 +59,7 @@ class Taau:
             (2H, 2W, 3) display-referred.
         """
         offset = next(self._offsets, (0.0, 0.0))
-        low, high = (_nearest(edge, offset) for edge in _box(prepared.color[..., :3]))
+        low, high = (_nearest(edge, offset) for edge in box(prepared.color[..., :3]))
         image = np.clip(lanczos_centres(prepared.color[..., :3], offset), low, high)
         count = np.ones((*image.shape[:2], 1), np.float32)
         # Only the first frame after a gap has no earlier one within reach, and so no step back.
@@ -98,11 +99,3 @@ def _nearest(x: NDArray[Scalar], offset: tuple[float, float]) -> NDArray[Scalar]
         for length, shift in zip(x.shape[1::-1], offset, strict=True)
     )
     return x[down][:, across]
-
-
-def _box(image: Image) -> tuple[Image, Image]:
-    """(H, W, C) smallest and largest value of the 3 x 3 pixels of (H, W, C) around each pixel, as far as they lie in the frame."""
-    height, width, _ = image.shape
-    wide = np.pad(image, ((1, 1), (1, 1), (0, 0)), mode="edge")
-    around = np.stack([wide[j : j + height, i : i + width] for j in range(3) for i in range(3)])
-    return around.min(axis=0), around.max(axis=0)

@@ -22,11 +22,12 @@ from _pytest.runner import runtestprotocol
 
 ROOT = Path(__file__).parents[2]
 MODULES = (
-    *("arrays", "constants", "conv", "decoder", "depth", "detail", "encoder", "erm", "frame", "history", "holes", "loss"),
-    *("motion_chain", "network", "occlusion_warp", "resample", "reshade", "rrm", "sample", "schedule", "warp"),
+    *("accumulate", "arrays", "constants", "conv", "decoder", "depth", "detail", "encoder", "erm", "frame", "history", "holes"),
+    *("loss", "motion_chain", "network", "occlusion_warp", "resample", "reshade", "rrm", "sample", "schedule", "warp"),
 )
 """The modules that compute; ``weights`` is a table that the network's shapes check, ``watch`` only records."""
 SAME = {
+    "accumulate: np.arange(length) + step -> np.arange(length) - step": "the steps are as many either way",
     "arrays: strict=True -> strict=False": "the lengths were compared before",
     "conv: 2 * r -> 3 * r": "more zeros, which nothing reads",
     "conv: x >= 0 -> x > 0": "at 0 both are 1 / 2",

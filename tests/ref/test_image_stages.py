@@ -9,6 +9,7 @@ from conformance.cases.planes import SEEDS
 from conformance.judging.judge import Judge, Tier
 from conformance.suite.run_suite import run_suite
 from stss.port import ReferencePort
+from stss_ref.accumulate import accumulate
 from stss_ref.arrays import ArrayError
 from stss_ref.constants import HoleLimits
 from stss_ref.depth import normalise_depth
@@ -519,6 +520,40 @@ class TestRRM:
     def test_too_small_a_mask_is_an_error(self):
         with pytest.raises(ArrayError, match="at least 4 x 4, got 3 x 9"):
             draw_rectangle(3, 9, np.random.default_rng(0))
+
+
+class TestAccumulate:
+    def shown(self, image, before, motion=0.0):
+        """One channel of a row of two pixels, four on the display, whose two rows are equal."""
+        rows = (np.broadcast_to(np.array(row, float)[None, :, None], (2, 4, 1)) for row in (image, before))
+        shown = accumulate(*rows, np.broadcast_to(np.array([motion, 0.0]), (1, 2, 2)).astype(float))
+        assert (shown[0] == shown[1]).all()
+        return shown[0, :, 0].tolist()
+
+    def test_three_eighths_of_the_earlier_image(self):
+        assert self.shown([0, 8, 0, 8], [4, 4, 4, 4]) == [1.5, 6.5, 1.5, 6.5]
+
+    def test_it_is_within_what_surrounds_the_pixel(self):
+        assert self.shown([0, 8, 9, 9], [100, 100, -100, -100]) == [3.0, 8.375, 8.625, 9.0]
+
+    def test_a_display_pixel_has_twice_the_motion(self):
+        """Half a pixel is one on the display; the last pixel's leads out of the frame."""
+        assert self.shown([0, 8, 0, 8], [1, 2, 3, 4], 0.5) == [0.75, 6.125, 1.5, 8.0]
+        assert self.shown([0, 8, 0, 8], [1, 2, 3, 4], 0.25)[0] == 0.5625
+
+    @pytest.mark.parametrize("motion", [np.nan, np.inf, -9.0, 1e30])
+    def test_off_screen_is_the_image(self, motion):
+        assert self.shown([0, 8, 0, 8], [4, 4, 4, 4], motion) == [0, 8, 0, 8]
+
+    def test_rows_are_read_as_columns_are(self):
+        rng = np.random.default_rng(0)
+        image, before, motion = rng.random((6, 10, 2)), rng.random((6, 10, 2)), rng.uniform(-1, 1, (3, 5, 2))
+        turned = accumulate(image.swapaxes(0, 1), before.swapaxes(0, 1), motion.swapaxes(0, 1)[..., ::-1])
+        np.testing.assert_allclose(turned.swapaxes(0, 1), accumulate(image, before, motion), rtol=0, atol=2**-50)
+
+    def test_its_dtype_is_the_images(self):
+        arrays = np.ones((2, 4, 3), np.float32), np.ones((2, 4, 3), np.float32), np.zeros((1, 2, 2), np.float32)
+        assert accumulate(*arrays).dtype == np.float32
 
 
 class TestDepth:

@@ -9,6 +9,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from conformance.cases.planes import SEEDS, frames, motions, sizes
 from conformance.tolerance import ratio
+from stss_ref.accumulate import accumulate
 from stss_ref.erm import attend, divide, normalise
 from stss_ref.loss import loss
 from stss_ref.network import network
@@ -45,6 +46,22 @@ def shuffled(x):
     for n in range(x.shape[2]):
         image[n // 2 % 2 :: 2, n % 2 :: 2, n // 4] = x[..., n]
     return image
+
+
+@given(data=st.data(), size=sizes())
+def test_accumulate_is_rank_filters_around_map_coordinates(data, size):
+    display = tuple(2 * n for n in size)
+    image, before = (data.draw(frames(display, 2)) for _ in range(2))
+    motion = data.draw(motions(size))
+    moved = 2 * np.kron(motion, np.ones((2, 2, 1)))
+    y, x = np.indices(display) + np.moveaxis(moved, -1, 0)[::-1]
+    for c in range(2):
+        low, high = (f(image[..., c], 3, mode="nearest") for f in (scipy.ndimage.minimum_filter, scipy.ndimage.maximum_filter))
+        history = np.clip(scipy.ndimage.map_coordinates(before[..., c], [y, x], order=1, mode="nearest"), low, high)
+        inside = (x >= 0) & (x <= display[1] - 1) & (y >= 0) & (y <= display[0] - 1)
+        want = np.where(inside, 0.625 * image[..., c] + 0.375 * history, image[..., c])
+        got = accumulate(image, before, motion)[..., c]
+        assert ratio("warp.warped", got, want, max(display) * max(np.abs(image).max(), np.abs(before).max())) <= 1
 
 
 @given(data=st.data(), size=sizes())

@@ -243,6 +243,12 @@ def forgets():
     return one.push(buffers(1)) is None
 
 
+def mixed():
+    alone, one = loop(), loop(accumulate=True)
+    pairs = [(alone.push(buffers(n)).image, one.push(buffers(n)).image) for n in (0, 1)]
+    return (pairs[0][0] == pairs[0][1]).all() and (pairs[1][0] != pairs[1][1]).any()
+
+
 def warm():
     loop().warm_up(SIZE)
     return True
@@ -255,6 +261,7 @@ CELLS = {
     "loop.warm_up((H, W))": warm,
     "warm_up((H, W))": warm,
     'stss.Supersampler("realtime").warm_up((540, 960))': warm,  # of other weights and size here; engines.md's block has these
+    "Supersampler(accumulate=True)": mixed,
     "memory_limit=": lambda: loop(memory_limit=1 << 30).push(buffers(0)) is not None,
     'transfer="none"': highlights_change_nothing_else,
     "copy=False": lambda: loop(copy=False).push(buffers(0)) is not None,

@@ -29,6 +29,7 @@ OPTIONS = {
 """An option -> a value that changes a file of the frames below; with `NO_FILE` all options of the command."""
 NO_FILE = {
     "--out", "--frames", "--resume", "--overwrite", "--cluster", "--keep-going", "--memory-limit",  # no file's content
+    "--accumulate",  # not with --resume
     "--non-finite",  # refused, or masked: no value makes two files of one frame
     "--backend", "--device", "--precision", "--skip",  # the backend's name, which is in every file, or no bit
 }  # fmt: skip
