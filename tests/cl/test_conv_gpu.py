@@ -25,7 +25,7 @@ MATRIX = Local(2, matrix_units=True)
 FLOAT, HALF = np.dtype(np.float32), np.dtype(np.float16)
 LAYERS = [
     # size, channels of both inputs, outputs, gated, stride
-    ((37, 53), 24, 0, 24, True, 1),
+    ((21, 37), 24, 0, 24, True, 1),
     ((17, 65), 24, 24, 24, False, 1),
     ((9, 35), 32, 96, 64, False, 1),
     ((5, 7), 16, 0, 48, False, 1),
@@ -182,7 +182,7 @@ def test_tiles_of_a_list(device, processor, monkeypatch, layer, by_option, name,
 @pytest.mark.parametrize("local", [Local(1), MATRIX], ids=str)
 def test_three_images_in_one_launch(device, local):
     """Into channels: the same bits as one after the other."""
-    case, outputs = Case(device, ((9, 35), 24, 0, 24, True, 1), HALF), []
+    case, outputs = Case(device, ((5, 19), 24, 0, 24, True, 1), HALF), []
     inputs = padded(device, *case.size, 24, HALF, images=3)
     write(device, inputs, np.random.default_rng(1).random((3, *case.size, 24)))
     for images in ((None,), range(3)):

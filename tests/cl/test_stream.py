@@ -40,7 +40,7 @@ def sequences(draw):
 
 @pytest.fixture(
     scope="module",
-    params=[("float32", WEIGHTS), thorough(("half", WEIGHTS)), ("float32", UNREAD), ("float32", DETAILED)],
+    params=[("float32", WEIGHTS), thorough(("half", WEIGHTS)), thorough(("float32", UNREAD)), ("float32", DETAILED)],
     ids=lambda p: p[0] + " unread" * (p[1] is UNREAD) + " detailed" * (p[1] is DETAILED),
 )
 def pair(request, device):

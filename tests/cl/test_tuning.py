@@ -27,6 +27,7 @@ from stss_cl.network.tiles import whole
 from stss_lab.tune import tile_timing as trials
 from stss_lab.tune import tune
 from stss_lab.tune.tile_timing import INTEL, SHAPES, Trials, direct_candidates, winograd_candidates
+from tests.tiers import thorough
 
 
 @pytest.fixture(autouse=True)
@@ -127,7 +128,7 @@ def shape_like(outputs, stride, gated):
     return next(s for s in SHAPES if (s.outputs, s.stride, s.gated) == (outputs, stride, gated))
 
 
-@pytest.mark.parametrize("shape", [shape_like(24, 1, True), shape_like(24, 2, False)], ids=str)
+@pytest.mark.parametrize("shape", [shape_like(24, 1, True), thorough(shape_like(24, 2, False))], ids=str)
 def test_what_departs_from_the_plain_kernel_is_refused(device, shape, monkeypatch):
     """Rows left out by one candidate, one wrong bias by another: neither has a time; the others do."""
     short, wrong, good = Direct(2, shape.outputs // 8, 1), Direct(4, 1, 1), Direct(2, 1, 1)

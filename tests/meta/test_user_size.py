@@ -18,6 +18,7 @@ from conformance.report.report import judged_on
 from conformance.suite.run_suite import run_suite
 from conformance.tolerance import ratio
 from stss_ref.weights import Weights
+from tests.tiers import thorough
 
 FEW = Tier("few", 1, 1, 1)
 BEYOND = 1200
@@ -109,7 +110,7 @@ class TileCorners(ReferencePort):
         return outputs
 
 
-CORNERS = [("erm", 64), ("erm", 32), ("encoder", 64), ("history", 16), ("decoder", 64)]
+CORNERS = [("erm", 64), thorough("erm", 32), thorough("encoder", 64), ("history", 16), ("decoder", 64)]
 
 
 @pytest.mark.parametrize(("stage", "tile"), CORNERS)
