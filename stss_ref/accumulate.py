@@ -7,6 +7,7 @@ import numpy as np
 
 from stss_ref.arrays import Image, require
 from stss_ref.constants import EARLIER_SHARE
+from stss_ref.sample import lerp
 from stss_ref.warp import warp
 
 
@@ -37,7 +38,7 @@ def accumulate(image: Image, before: Image, motion: Image) -> Image:
     moved = (2 * motion).repeat(2, axis=0).repeat(2, axis=1)
     low, high = box(image)
     history, inside = warp(before, moved)
-    return np.where(inside[..., None], image + (np.clip(history, low, high) - image) * EARLIER_SHARE, image)
+    return np.where(inside[..., None], lerp(image, np.clip(history, low, high), EARLIER_SHARE), image)
 
 
 def box(image: Image) -> tuple[Image, Image]:

@@ -106,6 +106,6 @@ def between(four: Sequence[Image], at: Taps) -> Image:
     return lerp(lerp(nw, ne, fx), lerp(sw, se, fx), fy)
 
 
-def lerp(a: Array, b: Array, t: Array) -> Array:
+def lerp(a: Array, b: Array, t: Array | float) -> Array:
     """``a + (b - a) t`` and not ``a (1 - t) + b t``: between equal numbers it is that number."""
     return a + (b - a) * t

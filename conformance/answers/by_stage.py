@@ -8,6 +8,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
+from conformance.answers.accumulate import expect_accumulate
 from conformance.answers.expected import Expected
 from conformance.answers.frame import expect_frame
 from conformance.answers.holes import expect_holes
@@ -27,6 +28,7 @@ IMAGE_SPACE: dict[str, Callable[[dict[str, NDArray[Any]], Arithmetic], dict[str,
     "holes": expect_holes,
     "reshade": lambda inputs, arithmetic: expect_reshade(inputs, arithmetic)[0],
     "rrm": lambda inputs, _: {"valid": Expected(reference("rrm", inputs)["valid"], 0.0)},
+    "accumulate": expect_accumulate,
 }
 
 

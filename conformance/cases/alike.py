@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from conformance.cases.large_inputs import network_case
 from conformance.cases.stage_inputs import Inputs, made_weights
+from conformance.protocol.array_specs import Dim
 from conformance.protocol.stages import STAGES
 from stss_ref.weights import LAYERS, Weights
 
@@ -77,8 +78,8 @@ def _others(stage: str, name: str, array: NDArray[Any]) -> Iterator[tuple[str, N
     if name in FLAGS:
         yield "another", np.asarray(FLAGS[name](array), array.dtype)
         return
-    rows, over = _rows(stage, name)
-    own, other = (tuple(at // over for at in place) for place in _by_name(AT, name, (STATIC, OTHER)))
+    rows, dim = _rows(stage, name)
+    own, other = (tuple(at * dim.times // dim.over for at in place) for place in _by_name(AT, name, (STATIC, OTHER)))
     change = _by_name(CHANGES, name, _less)
     for frame in np.ndindex(array.shape[:rows]):
         one = array.copy()
@@ -101,11 +102,11 @@ def _halves(stage: str, inputs: Inputs) -> Inputs:
     return {**inputs, **{name: np.roll(array, array.shape[axes[name]] // 2, axes[name]) for name, array in images.items()}}
 
 
-def _rows(stage: str, name: str) -> tuple[int, int]:
-    """The axis of an array's rows, and how many input rows are one of them."""
+def _rows(stage: str, name: str) -> tuple[int, Dim]:
+    """The axis of an array's rows, and how many there are of them."""
     dims = STAGES[stage].inputs[name].dims
     axis = next(axis for axis, dim in enumerate(dims) if dim.letter == "H")
-    return axis, dims[axis].over
+    return axis, dims[axis]
 
 
 def _by_name(table: dict[str, Any], name: str, default: Any) -> Any:
@@ -195,6 +196,12 @@ def _rrm(rng: Generator) -> tuple[Inputs, None]:
     return {"valid": valid, "rectangle": np.array([5, 5, 3, 3], np.int32)}, None
 
 
+def _accumulate(rng: Generator) -> tuple[Inputs, None]:
+    """Most of what was shown before lies within the box, so that any of it shows."""
+    image, before = rng.random((2, 2 * SIDE, 2 * SIDE, 3))
+    return {"image": image, "before": 0.4 + 0.2 * before, "motion": _shift_right(1)[0]}, None
+
+
 def _frame(rng: Generator) -> tuple[Inputs, Weights]:
     now = _surfaces(rng)
     gbuffer = rng.random((SIDE, SIDE, 9))
@@ -209,5 +216,5 @@ def _frame(rng: Generator) -> tuple[Inputs, Weights]:
 
 _BASES: dict[str, Callable[[Generator], tuple[Inputs, Any]]] = {
     "motion_chain": _motion_chain, "warp": _warp, "holes": _holes, "occlusion_warp": _occlusion_warp, "reshade": _reshade,
-    "rrm": _rrm, "frame": _frame,
+    "rrm": _rrm, "frame": _frame, "accumulate": _accumulate,
 }  # fmt: skip

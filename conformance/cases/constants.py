@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from conformance.cases.large_inputs import frame_case
 from conformance.cases.stage_inputs import Inputs, made_weights
-from stss_ref.constants import HoleLimits
+from stss_ref.constants import EARLIER_SHARE, HoleLimits
 from stss_ref.reshade import COSINE, FOOTPRINTS, RADIUS, STATIC_COSINE
 from stss_ref.weights import Weights
 
@@ -218,6 +218,12 @@ def _dark(rng: Generator) -> tuple[Inputs, Weights]:
     return {**inputs, "colors": inputs["colors"] * 2 - 1}, weights
 
 
+def _mixed(_: Generator) -> Inputs:
+    """Black and white pixels in turn, and the opposite before."""
+    image = np.repeat(np.indices((4, 4)).sum(axis=0)[..., None] % 2, 3, axis=-1).astype(np.float64)
+    return {"image": image, "before": 1 - image, "motion": np.zeros((2, 2, 2))}
+
+
 CONSTANTS = (
     Constant("distance in footprints", "1.5", "holes", _footprint),
     Constant("distance head-on", "7.5", "holes", _far(1, 0)),
@@ -241,6 +247,7 @@ CONSTANTS = (
     Constant("least sum of weights", "1e-6", "erm", _materials),
     Constant("window", "5", "erm", _window),
     Constant("least colour", "0", "frame", _dark),
+    Constant("share of the image shown before", str(EARLIER_SHARE), "accumulate", _mixed),
 )
 
 

@@ -79,6 +79,11 @@ def _reshade(rng: Generator) -> Inputs:
     }  # fmt: skip
 
 
+def _accumulate(rng: Generator) -> Inputs:
+    image, before = rng.random((2, 2 * SIZE[0], 2 * SIZE[1], 3))
+    return {"image": image, "before": before, "motion": _motion(rng, SIZE)}
+
+
 def _frame(second: SecondColor, fill: HoleFill, rng: Generator) -> tuple[Inputs, Weights]:
     """Lost motion and lost positions lie in every frame, and stencils of every size."""
     inputs, weights = frame_case(SIZE, rng, second, fill=fill)
@@ -97,6 +102,7 @@ _MADE: dict[str, tuple[Callable[[Generator], Any], ...]] = {
     "warp": (lambda rng: {"color": rng.random((*SIZE, 3)), "motion": _motion(rng, SIZE)},),
     "holes": (_holes, _far_from_home), "occlusion_warp": (_occlusion_warp,), "reshade": (_reshade,),
     "frame": tuple(partial(_frame, second, fill) for second, fill in zip(SECOND_COLORS, HOLE_FILLS, strict=True)),
+    "accumulate": (_accumulate,),
 }  # fmt: skip
 
 ENGINE_STAGES = frozenset(_MADE)

@@ -34,6 +34,8 @@ ANY_SIZES: tuple[Size, ...] = ((7, 1_040), (1_040, 5), (67, 131), (515, 13), (25
 USER_SIZES: dict[str, Size] = {"quick": (720, 1280), "full": (1080, 1920)}
 """(H, W) of users' frames. At 720 x 1280 a feature of 24 channels has more numbers than float32 counts, and beside another more bytes
 than 128 MiB. At 1080 x 1920 there are more pixels than 20 bits count, and more than 65,535 groups of 64 numbers."""
+TWICE = ("decoder", "network", "frame", "accumulate")
+"""Stages with arrays of twice the rows and columns."""
 IN_FULL = ("history", "encoder", "erm", "decoder")
 """Stages that only the full tier judges at such a size."""
 FEW = 4
@@ -110,6 +112,11 @@ def _rrm(_: Moving, size: Size, rng: Generator) -> Inputs:
     return {"valid": (rng.random(size) < 0.7).astype(np.uint8), "rectangle": rectangle}
 
 
+def _accumulate(moving: Moving, size: Size, rng: Generator) -> Inputs:
+    image, before = rng.random((2, 2 * size[0], 2 * size[1], 3), np.float32)
+    return {"image": image, "before": before, "motion": moving(rng, size)}
+
+
 def network_case(stage: str, size: Size, rng: Generator) -> tuple[Inputs, Weights]:
     """Inputs of a stage of the network, in [0, 1], and weights."""
     height, width = size
@@ -159,6 +166,7 @@ _IMAGE: dict[str, Callable[[Moving, Size, Generator], Inputs]] = {
     "motion_chain": lambda moving, size, rng: {"motions": np.stack([moving(rng, size) for _ in range(3)])},
     "warp": lambda moving, size, rng: {"color": rng.random((*size, 3)), "motion": moving(rng, size)},
     "holes": _holes, "occlusion_warp": _occlusion_warp, "reshade": _reshade, "rrm": _rrm,
+    "accumulate": _accumulate,
 }  # fmt: skip
 
 
@@ -171,7 +179,7 @@ def large_inputs(stage: str, most: int | None = None, size: Size | None = None, 
         size: (H, W) of one more case; stages of the network but ``network`` and ``frame`` get the next larger multiples of 8.
         side: the most rows or columns of any array, outputs too; larger cases are cut to that, and ``size`` is left out; None: any.
     """
-    scale = 2 if stage in ("decoder", "network", "frame") else 1
+    scale = 2 if stage in TWICE else 1
     extra = [_fitting_size(stage, size)] if size is not None else []
     own = [*_sizes(stage)[:most], *(each for each in extra if side is None or scale * max(each) <= side)]
     largest = max(map(max, own), default=0) if side is None else side // scale // 8 * 8
@@ -190,7 +198,7 @@ def user_inputs(stage: str, most: int, side: int | None = None) -> tuple[MakeCas
 
 
 def user_sizes(stage: str, most: int, side: int | None = None) -> tuple[Size, ...]:
-    """Their sizes: image stages at the larger one in any tier; the network at the smaller one in a tier of few large frames.
+    """Their sizes: image stages at the larger one in any tier; stages of twice the size at the smaller one in a tier of few large frames.
 
     Args:
         stage: its name.
@@ -199,12 +207,14 @@ def user_sizes(stage: str, most: int, side: int | None = None) -> tuple[Size, ..
     """
     if most < FEW or (most <= FEW and stage in IN_FULL):
         return ()
-    size = USER_SIZES["quick" if most <= FEW and stage not in _IMAGE else "full"]
-    scale = 2 if stage in ("decoder", "network", "frame") else 1
+    size = USER_SIZES["quick" if most <= FEW and stage in TWICE else "full"]
+    scale = 2 if stage in TWICE else 1
     return (size,) if side is None or scale * max(size) <= side else ()
 
 
 def _sizes(stage: str) -> tuple[Size, ...]:
+    if stage == "accumulate":
+        return IMAGE_SIZES[:-1]
     if stage in _IMAGE:  # all of rrm's largest frame is judged, and at once
         return IMAGE_SIZES if stage != "rrm" else (IMAGE_SIZES[-1], *IMAGE_SIZES[:-1])
     if stage in ("history", "erm"):

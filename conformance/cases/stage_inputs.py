@@ -212,6 +212,37 @@ def rrm_inputs(draw: st.DrawFn, largest: int = 20) -> Inputs:
 
 
 @st.composite
+def accumulate_inputs(draw: st.DrawFn, largest: int = 10, before: str = "any", motion: str = "any") -> Inputs:
+    """Stage accumulate: what was shown before lies within the box, beside it, far outside, or is the same image.
+
+    Args:
+        draw: Hypothesis's function.
+        largest: rows and columns of the motion, at most.
+        before: ``same`` or any.
+        motion: ``still``, ``out`` of the frame at every pixel, or any.
+    """
+    size = draw(sizes(largest))
+    height, width = 2 * size[0], 2 * size[1]
+    rng = np.random.default_rng(draw(SEEDS))
+    image = draw(colors((height, width), 3))
+    kind = draw(st.sampled_from(["same", "near", "beside", "beside", "any"])) if before == "any" else before
+    shown = draw(colors((height, width), 3)) if kind == "any" else image
+    if kind in ("near", "beside"):
+        apart = rng.uniform(-1, 1, image.shape) * np.ptp(image)
+        shown = image + apart * (0.1 if kind == "near" else draw(st.sampled_from([0.5, 3.0])))
+    if motion == "out":
+        moved = rng.uniform(-1, 1, (*size, 2))
+        axis = rng.integers(2, size=size)[..., None] == np.arange(2)
+        moved = np.where(
+            axis, np.copysign(np.array([width, height]) * rng.choice([1.0, 9.0, np.inf], size)[..., None], moved), moved
+        )
+    else:
+        short = [motions(size, broken=True), dyadic_motions(size, "short"), dyadic_motions(size, "half")]
+        moved = draw(dyadic_motions(size, "still") if motion == "still" else st.one_of(*short))
+    return {"image": image, "before": shown, "motion": moved}
+
+
+@st.composite
 def network_inputs(draw: st.DrawFn, stage: str, size: st.SearchStrategy[Size] | None = None, color: str = "any") -> Inputs:
     """The inputs of ``stage``: history, encoder, erm, decoder or network."""
     height, width = draw(multiples() if size is None else size)

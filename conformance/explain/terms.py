@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from conformance.answers.expected import largest
 from conformance.judging.findings import Finding
 from conformance.protocol.stages import hole_test, reference
-from stss_ref.constants import HoleLimits
+from stss_ref.accumulate import box
+from stss_ref.constants import EARLIER_SHARE, HoleLimits
 from stss_ref.holes import squared_footprint
 from stss_ref.motion_chain import chain_steps, gather_longest, truncated
 from stss_ref.occlusion_warp import FARTHEST, splat
@@ -49,10 +50,10 @@ def terms_at_worst(finding: Finding) -> tuple[str, ...]:
 
 
 def _size(inputs: Inputs) -> tuple[int, int]:
-    """(H, W) of an image stage's inputs."""
-    motion = inputs["motions"][0] if "motions" in inputs else inputs.get("motion", inputs.get("valid"))
-    assert motion is not None
-    return motion.shape[0], motion.shape[1]
+    """(H, W) of an image stage's outputs."""
+    plane = inputs["motions"][0] if "motions" in inputs else inputs.get("image", inputs.get("motion", inputs.get("valid")))
+    assert plane is not None
+    return plane.shape[0], plane.shape[1]
 
 
 def _format(value: Any) -> str:
@@ -224,6 +225,24 @@ def _rrm(inputs: Inputs, y: int, x: int) -> list[Term]:
     ]
 
 
+def _accumulate(inputs: Inputs, y: int, x: int) -> list[Term]:
+    image, before = inputs["image"], inputs["before"]
+    moved = (2 * inputs["motion"]).repeat(2, axis=0).repeat(2, axis=1)
+    at = follow(moved)
+    low, high = box(image)
+    history = bilinear(before, taps(at))
+    return [
+        ("motion, twice that of the low-resolution pixel", _format(moved[y, x])),
+        ("leads to", _leads_to(at, y, x)),
+        ("inside, else the image", _format(leads_inside(at)[y, x].astype(int))),
+        *_read(before, at, y, x),
+        ("box, least", _format(low[y, x])),
+        ("box, largest", _format(high[y, x])),
+        ("clamped into the box", _format(np.clip(history, low, high)[y, x])),
+        (f"image, which gets {EARLIER_SHARE:g} of that", _format(image[y, x])),
+    ]
+
+
 TERMS: dict[str, Callable[[Inputs, int, int], Sequence[Term]]] = {
     "motion_chain": _motion_chain,
     "warp": _warp,
@@ -231,5 +250,6 @@ TERMS: dict[str, Callable[[Inputs, int, int], Sequence[Term]]] = {
     "occlusion_warp": _occlusion_warp,
     "reshade": _reshade,
     "rrm": _rrm,
+    "accumulate": _accumulate,
 }
 """By stage; the row and the column come last."""

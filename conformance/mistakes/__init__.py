@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from conformance.mistakes.accumulate import ACCUMULATE
 from conformance.mistakes.frame import FRAME
 from conformance.mistakes.holes import HOLES, OCCLUSION_WARP, RRM
 from conformance.mistakes.image import MOTION_CHAIN, WARP
@@ -12,6 +13,7 @@ from conformance.protocol.reference_copy import Mistake
 
 MISTAKES: tuple[Mistake, ...] = (
     *MOTION_CHAIN, *WARP, *HOLES, *OCCLUSION_WARP, *RESHADE, *RRM, *HISTORY, *ENCODER, *ERM, *DECODER, *NETWORK, *FRAME,
+    *ACCUMULATE,
 )  # fmt: skip
 
 

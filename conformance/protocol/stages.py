@@ -24,6 +24,7 @@ from conformance.protocol.array_specs import (
     require_multiples,
 )
 from conformance.protocol.port import Arrays, Outputs
+from stss_ref.accumulate import accumulate
 from stss_ref.arrays import ArrayError
 from stss_ref.constants import HoleTest
 from stss_ref.decoder import decoder
@@ -211,6 +212,12 @@ _ROWS = (
         {"image": "2H 2W 3"},
         lambda a, weights: {"image": frame(_frame_inputs(a), weights)[0]},
         weights=True,
+    ),
+    _stage(
+        "accumulate",
+        {"image": "2H 2W 3", "before": "2H 2W 3", "motion": "H W 2"},
+        {"shown": "2H 2W 3"},
+        lambda a, _: {"shown": accumulate(**a)},
     ),
 )
 

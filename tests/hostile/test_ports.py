@@ -333,7 +333,7 @@ def test_no_stages_are_no_run():
 STRATEGIES = {
     "motion_chain": drawn.chain_inputs(6), "warp": drawn.warp_inputs(6), "holes": drawn.holes_inputs(6),
     "occlusion_warp": drawn.occlusion_inputs(6), "reshade": drawn.reshade_inputs(6), "rrm": drawn.rrm_inputs(6),
-    "frame": drawn.frame_inputs(),
+    "frame": drawn.frame_inputs(), "accumulate": drawn.accumulate_inputs(4),
     **{stage: drawn.network_inputs(stage) for stage in ("history", "encoder", "erm", "decoder", "network")},
 }  # fmt: skip
 

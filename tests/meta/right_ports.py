@@ -245,6 +245,7 @@ PLANTS: dict[str, tuple[Plant, ...]] = {
         put("warp.warp", half_warp),
         put("occlusion_warp.occlusion_warp", half_occlusion_warp),
         put("reshade.reshade", in_half(reshade.reshade)),
+        returns("accumulate.accumulate", to_half),
     ),
 }
 HOW: dict[str, dict[str, Any]] = {

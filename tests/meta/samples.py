@@ -136,6 +136,14 @@ def _rrm(generator: np.random.Generator) -> Any:
         yield {"valid": valid, "rectangle": np.array(rectangle, np.int32)}, None
 
 
+def _accumulate(generator: np.random.Generator) -> Any:
+    for (height, width), kind in CASES:
+        image, before = generator.uniform(-0.3, 1.3, (2, 2 * height, 2 * width, 3))
+        moved = motion(generator, (height, width), kind) / 2
+        yield {"image": image, "before": before, "motion": moved}, None
+        yield {"image": image, "before": image + before / 2, "motion": moved}, None
+
+
 @cache
 def weights_of(kind: str) -> Weights:
     """Weights that keep a signal's size, that enlarge it, or with materials that are almost 0."""
@@ -197,6 +205,7 @@ _SAMPLES: dict[str, Callable[[np.random.Generator], Any]] = {
     "reshade": _reshade,
     "rrm": _rrm,
     "frame": _frame,
+    "accumulate": _accumulate,
     **{stage: partial(_networks, stage) for stage in ("history", "encoder", "erm", "decoder", "network")},
 }
 

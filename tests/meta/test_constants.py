@@ -76,6 +76,7 @@ PLANTS = {
         *(put("erm.LEAST_SUM", x) for x in (1e-7, 1e-5, 1e-38)),
     ],
     "window": [put("erm.WINDOW", x) for x in (3, 7)],
+    "share of the image shown before": [put("accumulate.EARLIER_SHARE", x) for x in (0.37, 0.38, 0.5)],
     "least colour": [find(f"frame_{name}").plants[0] for name in ("negative_color", "negative_history", "absolute_history")],
 }
 

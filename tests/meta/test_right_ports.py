@@ -19,14 +19,14 @@ ROWS = {"float32": "stage.cl", "float16": "network.cl.half"}
 """The row of bounds for the port: that of the OpenCL backend."""
 
 NETWORK = {"history", "encoder", "erm", "decoder", "network", "frame"}
-READS = {"warp", "occlusion_warp"}
+READS = {"warp", "occlusion_warp", "accumulate"}
 DIFFERENT = {
     "as_is": set(),
     "in_order": NETWORK,
     "pairwise": NETWORK,
     "fma": NETWORK | READS,
     "orders": NETWORK | READS | {"reshade"},
-    "double": {"warp", "occlusion_warp", "frame"},
+    "double": {"warp", "occlusion_warp", "frame", "accumulate"},
     "flush": set(),
     "winograd_2": NETWORK,
     "winograd_4": NETWORK,

@@ -13,7 +13,7 @@ from tests.meta.run_false_alarms import judged
 from tests.tiers import thorough
 
 JUDGED = {
-    "orders": ["motion_chain", "warp", "holes", "reshade"],
+    "orders": ["motion_chain", "warp", "holes", "reshade", "accumulate"],
     "flush": ["rrm", "history"],
     "fma": ["decoder", "frame"],
     "half_flush": ["occlusion_warp", "erm"],
