@@ -183,7 +183,7 @@ def backend_options(command: Command) -> Command:
         click.option(
             "--accumulate",
             is_flag=True,
-            help="Mix each frame with the one shown before it: less flicker. Needs the frames in order.",
+            help="Mix each frame with the one shown before it: aliased input flickers less. Needs the frames in order.",
         ),
     )
     decorated: Any = group_options("The device", *options)(collect)

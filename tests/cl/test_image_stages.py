@@ -9,8 +9,10 @@ from hypothesis import strategies as st
 from conformance.cases import stage_inputs as drawn
 from conformance.cases.planes import SEEDS, motions, sizes
 from stss_cl.device.buffers import inputs_for, read
+from stss_cl.image_space.accumulate import Accumulate
 from stss_cl.image_space.prepare import FINITE, Prepare, PrepareOptions
 from stss_cl.image_space.stages import ImageStages
+from stss_ref.accumulate import accumulate
 from stss_ref.frame import FrameInputs, prepare
 from stss_ref.motion_chain import motion_chain
 from stss_ref.occlusion_warp import occlusion_warp, splat
@@ -304,3 +306,19 @@ def test_prepare_sees_what_is_not_finite(device, steps):
                 assert bad() == name, (name, np.unravel_index(place, array.shape))
                 array.flat[place] = old
         assert bad() is None
+
+
+def test_accumulation_of_frames_in_turns(device):
+    """Sizes change; arrays are read in place or, at an address that OpenCL does not take, copied; and an answer is the caller's."""
+    accumulate_frames, random, shown = Accumulate(device), np.random.default_rng(3), []
+    for size in ((5, 7), (24, 40), (5, 7)):
+        display = tuple(2 * length for length in size)
+        image, before = (random.random((*display, 3), np.float32) for _ in range(2))
+        motion = random.uniform(-3, 3, (*size, 2)).astype(np.float32)
+        motion[0, 0] = np.nan
+        odd = np.empty(image.size + 1, np.float32)[1:].reshape(image.shape)
+        odd[:] = image
+        want = accumulate(image, before, motion)
+        shown += [(accumulate_frames(each, before, motion), want) for each in (image, odd)]
+    for got, want in shown:
+        np.testing.assert_array_equal(got, want)
