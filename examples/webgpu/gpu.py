@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 FOLDER = Path(__file__).parent
-FOLLOWING = ("motion_chain", "warp", "holes", "detail", "occlusion_warp", "reshade")
+FOLLOWING = ("motion_chain", "warp", "holes", "detail", "occlusion_warp", "reshade", "accumulate")
 SURFACES = ("holes", "reshade")
 
 

@@ -215,6 +215,13 @@ class Maker(Calls):
         scales = self.encoder(color, gbuffer, mask)
         return self.decoder([self.erm(scales[3], gbuffer, mask), self.history(history)], scales, color, size)
 
+    def accumulate(self, image: Picture, before: Picture, motion: Picture) -> Picture:
+        """``shown``."""
+        shown = self.empty(image.height, image.width, image.channels)
+        uniform = image.width, image.height, image.channels
+        self.add("accumulate.main", shown, 1, uniform, {1: image, 2: before, 3: motion, 4: shown})
+        return shown
+
     def frame(self, inputs: Arrays) -> Picture:
         """``image``."""
         steps = [int(step) for step in inputs["steps"]]
@@ -296,6 +303,7 @@ STAGES: dict[str, Callable[[Maker, Arrays], dict[str, Picture]]] = {
     "decoder": _decoder,
     "network": _by_name("network", "color gbuffer mask history", "image"),
     "frame": lambda make, arrays: {"image": make.frame(arrays)},
+    "accumulate": _by_name("accumulate", "image before motion", "shown"),
 }
 
 

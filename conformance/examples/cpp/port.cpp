@@ -396,6 +396,33 @@ static Mask rrm(Mask valid, const std::vector<int32_t> &rectangle) {
     return valid;
 }
 
+// ---- Stage accumulate ----
+
+constexpr float EARLIER_SHARE = 0.375f;
+
+// The display frame mixed with the one shown before it. `motion` is that of the low-resolution pixels, half as many along each side.
+static Image accumulate(const Image &image, const Image &before, const Image &motion) {
+    Image shown = image;
+    each_pixel(image, [&](int y, int x) {
+        const float *m = motion.at(y / 2, x / 2);
+        const float moved[] = {2.0f * m[0], 2.0f * m[1]};
+        const Place to = follow(moved, y, x, image.height, image.width);
+        if (!leads_inside(to, image)) return;
+        const Taps at = taps(to, image.height, image.width);
+        for (int c = 0; c < image.channels; ++c) {
+            const float here = image.at(y, x)[c];
+            float low = here, high = here;
+            for (int v = std::max(y - 1, 0); v <= std::min(y + 1, image.height - 1); ++v)
+                for (int u = std::max(x - 1, 0); u <= std::min(x + 1, image.width - 1); ++u) {
+                    low = std::min(low, image.at(v, u)[c]);
+                    high = std::max(high, image.at(v, u)[c]);
+                }
+            shown.at(y, x)[c] = lerp(here, std::clamp(bilinear(before, at, c), low, high), EARLIER_SHARE);
+        }
+    });
+    return shown;
+}
+
 // ---- Convolution ----
 
 // What is wrong with a job: one line that names the file, and status 2.
@@ -983,7 +1010,8 @@ public:
     fs::path path(const std::string &name) const { return folder_ / "in" / (name + ".npy"); }
     const Weights &weights() const { return read_weights(folder_ / "in" / "weights.safetensors"); }
 
-    // `spec` is the shape as the table writes it: a letter gets its size from the first array that has it.
+    // `spec` is the shape as the table writes it: a letter gets its size from the first array that has it. One with a factor in front
+    // (2H) comes behind such an array.
     // Then "finite" where the reference refuses NaN and infinity; motion and position may hold them.
     template <typename T>
     std::pair<Shape, std::vector<T>> array(const std::string &name, const std::string &spec) {
@@ -992,12 +1020,12 @@ public:
         size_t axis = 0;
         bool fits = true, finite = false;
         for (std::string word; words >> word && !(finite = word == "finite"); ++axis) {
-            const bool letter = std::isalpha((unsigned char)word[0]);
+            const bool letter = std::isalpha((unsigned char)word[0]), multiple = word.size() > 1 && std::isalpha((unsigned char)word[1]);
             const size_t over = letter && word.size() > 1 ? word[2] - '0' : 1;  // H/8
             fits = fits && axis < shape.size() && shape[axis] < (1 << 20);      // far below what an int or a float's 24 bits hold
             if (!fits) continue;
             const size_t size = shape[axis] * over;
-            fits = size == (letter ? sizes_.emplace(word[0], size).first->second : std::stoul(word));
+            fits = size == (letter ? sizes_.emplace(word[0], size).first->second : std::stoul(word) * (multiple ? sizes_.at(word[1]) : 1));
         }
         if (!fits || axis != shape.size()) {
             std::string known;
@@ -1125,10 +1153,17 @@ static void run_frame(Case &c) {
     c.write("image", frame(in, c.weights()));
 }
 
+static void run_accumulate(Case &c) {
+    const Image motion = c.image("motion", "H W 2");
+    const Image image = c.image("image", "2H 2W 3 finite"), before = c.image("before", "2H 2W 3 finite");
+    c.write("shown", accumulate(image, before, motion));
+}
+
 static const std::map<std::string, void (*)(Case &)> STAGES = {
     {"motion_chain", run_motion_chain}, {"warp", run_warp}, {"holes", run_holes}, {"occlusion_warp", run_occlusion_warp},
     {"reshade", run_reshade}, {"rrm", run_rrm}, {"history", run_history}, {"encoder", run_encoder}, {"erm", run_erm},
     {"decoder", run_decoder}, {"network", run_network}, {"frame", run_frame},
+    {"accumulate", run_accumulate},
 };
 
 // ---- The job ----
