@@ -14,6 +14,7 @@ from typing import Any
 import click
 from click.core import ParameterSource
 
+from stss_ground.arguments import suggest
 from stss_ground.commands import Subcommand
 from stss_ground.errors import InputError
 from stss_ground.exit_status import run_guarded
@@ -283,8 +284,9 @@ def _require_stages(stages_of: dict[str, tuple[str, ...] | None]) -> None:
     from conformance.suite.run_suite import SUITE
 
     for option, names in stages_of.items():
-        if unknown := set(names or ()) - set(SUITE):
-            raise InputError(f"{option}: expected some of {', '.join(SUITE)}, got {', '.join(sorted(unknown))}")
+        if unknown := sorted(set(names or ()) - set(SUITE)):
+            near = suggest(unknown[0], SUITE)
+            raise InputError(f"{option}: expected some of {', '.join(SUITE)}, got {', '.join(unknown)}{near}")
 
 
 def _require_folder(failures: Path) -> None:

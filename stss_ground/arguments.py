@@ -4,7 +4,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
+from difflib import get_close_matches
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +26,19 @@ def require_choice(name: str, value: Any, choices: Collection[str]) -> None:
     if not isinstance(value, str) or value not in choices:
         got = repr(value) if isinstance(value, str) else type(value).__name__
         raise InputError(f"{name}: expected one of {', '.join(choices)}, got {got}")
+
+
+def suggest(word: str, names: Iterable[str]) -> str:
+    """``; did you mean motion.X?``: the names most like a wrong word, whatever their case; "" if none is like it."""
+    spellings = {name.lower(): name for name in names}
+    near = [spellings[match] for match in get_close_matches(word.lower(), spellings)]
+    return f"; did you mean {' or '.join(near)}?" if near else ""
+
+
+def listing(names: Collection[str], most: int = 24) -> str:
+    """The first ``most`` of these names, and how many there are in all: a file of a stranger may have a thousand."""
+    more = f", ... ({len(names)} in all)" if len(names) > most else ""
+    return ", ".join(islice(names, most)) + more
 
 
 def path_of(name: str, value: Any) -> Path:

@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 
 import click
 
+from stss_ground.arguments import suggest
 from stss_ground.errors import PipeClosedError
 from stss_ground.option_kinds import ReadName, ReadPath, WrittenFile, WrittenFolder
 from stss_ground.optional import require_own_conformance
@@ -59,6 +60,17 @@ class Commands(click.Group):
                 module, _, attribute = commands[cmd_name][0].partition(":")
                 return getattr(import_module(module), attribute)
         return None
+
+    def resolve_command(self, ctx: click.Context, args: list[str]) -> tuple[str | None, click.Command | None, list[str]]:
+        """Find the command that was named.
+
+        Raises:
+            click.UsageError: there is none.
+        """
+        names = self.list_commands(ctx)
+        if args[0] not in names and not args[0].startswith("-"):
+            raise click.UsageError(f"no command {args[0]}; expected one of {', '.join(names)}{suggest(args[0], names)}", ctx)
+        return super().resolve_command(ctx, args)
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command that was named."""

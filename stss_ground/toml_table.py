@@ -4,12 +4,14 @@
 from __future__ import annotations
 
 import math
+import re
 import reprlib
 import sys
 from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any, cast
 
+from stss_ground.arguments import suggest
 from stss_ground.regular_file import read_regular
 
 if sys.version_info >= (3, 11):
@@ -136,7 +138,8 @@ class Table:
     def end(self, known: str = "") -> None:
         """Raise the error if a key is left over."""
         for key in self.rest:
-            raise self.error(f"{self.path}: {self.prefix}{key}: unknown key" + (f"; known are {known}" if known else ""))
+            near = suggest(key, re.findall(r"\w+", known))
+            raise self.error(f"{self.path}: {self.prefix}{key}: unknown key" + (f"; known are {known}{near}" if known else ""))
 
 
 def _float(value: float) -> float:

@@ -18,8 +18,8 @@ import numpy as np
 import stss
 from stss.images.color import transfer
 from stss.sequence.find_files import find_frames
+from stss.sequence.find_profile import settle_profile
 from stss.sequence.profiles import profile_names
-from stss.sequence.reader import settle_profile
 from stss.weights.file import SHIPPED
 from stss_ground.errors import InputError
 

@@ -25,11 +25,12 @@ from stss.check_sequence.static_positions import judge_static_geometry
 from stss.check_sequence.value_statistics import Level, Values, motion_lines
 from stss.images.headers import read_header
 from stss.sequence.antialiasing import judge_sampling
+from stss.sequence.channels import MissingBuffersError
 from stss.sequence.choose_weights import weights_for
-from stss.sequence.find_files import find_frames
+from stss.sequence.find_profile import frames_of, settle_profile
 from stss.sequence.profiles import BUFFERS
 from stss.sequence.raw_frame import NonFinite
-from stss.sequence.reader import Sequence, SequenceOptions, settle_profile
+from stss.sequence.reader import Sequence, SequenceOptions
 from stss_ground.errors import InputError
 from stss_ground.machine import available_threads
 from stss_ground.progress import show_steps, track
@@ -110,7 +111,7 @@ def check(
         findings.append(CheckFinding("note", f"profile: {table.name}, by the channels' names; --profile takes another"))
     tables: dict[str, object] = {"profile": table.name}
     try:
-        all_numbers = sorted(find_frames(Path(sequence_path), table.endings))
+        all_numbers = sorted(frames_of(Path(sequence_path), table))
         findings += missing_frames(all_numbers)
         bar = partial(track, console=console, text="reading headers")
         sequence = replace(reading, profile=table, non_finite="mask").open(sequence_path, bar, keep_going=True)
@@ -136,6 +137,9 @@ def check(
         findings.append(
             CheckFinding("note", f"sampling: {how} ({sampling.reason}); stss run takes the weights {weights_for(sampling)}")
         )
+    except MissingBuffersError as error:
+        findings += [CheckFinding("error", text) for text in error.each]
+        findings.append(CheckFinding("note", f"channels: {error.found}"))
     except InputError as error:
         findings.append(CheckFinding("error", str(error)))
     order: dict[Level, int] = {"error": 0, "warning": 1, "note": 2}

@@ -11,6 +11,7 @@ import numpy as np
 from stss.images.encode import encode_exr, encode_png, require_finite
 from stss.images.headers import Header, Value, last_error, locate, open_image, read_header
 from stss.images.windows import PixelWindow, moved
+from stss_ground.arguments import listing, suggest
 from stss_ground.errors import InputError
 from stss_ground.output.write_whole import write_whole
 from stss_ref.arrays import Array, Image, Mask, Plane
@@ -43,7 +44,7 @@ def read_channels(path: Path, names: Sequence[str], window: PixelWindow | None =
         header, places = locate(path, image)
         for name in names:
             if name not in places:
-                raise InputError(f"{path}: no channel {name}; it has {', '.join(header.channels)}")
+                raise InputError(f"{path}: no channel {name}; it has {listing(header.channels)}{suggest(name, header.channels)}")
         planes: dict[str, Plane] = {}
         for part, first, stop, kind in _runs({(*places[n], _READ_AS.get(header.formats[n], "float")) for n in names}):
             data = next(header.windows[name] for name, place in places.items() if place[0] == part)
@@ -99,7 +100,7 @@ def read_rgb(path: Path) -> Image:
         layers = [name[:-1] for name in channels if name[-1] == "R" and {name[:-1] + "G", name[:-1] + "B"} <= {*channels}]
         layers = [x for x in layers if not x] or [x for x in layers if x.endswith(("Combined.", "RGBA."))] or layers
         if len(layers) != 1:
-            raise InputError(f"{path}: expected channels R, G, B or one layer with them; it has {', '.join(channels)}")
+            raise InputError(f"{path}: expected channels R, G, B or one layer with them; it has {listing(channels)}")
         names = tuple(layers[0] + letter for letter in "RGB")
     planes = read_channels(path, names)
     return np.stack([planes[name] for name in names], axis=-1)

@@ -100,7 +100,7 @@ def run(
 
 
 def plan(sequence: Sequence, out: Path, options: RunOptions, reads: Iterable[Path] = (), *, accumulates: bool = False) -> RunPlan:
-    """Plan a run; nothing is read or written.
+    """Plan a run; no pixel is read, and nothing is written.
 
     Args:
         sequence, out, options, reads: as for `run`.
@@ -120,6 +120,7 @@ def plan(sequence: Sequence, out: Path, options: RunOptions, reads: Iterable[Pat
     require_near(sequence, sequence.numbers[0] if accumulates else numbers[0], numbers[-1])
     if not options.keep_going:  # now, not after hours of other frames
         sequence.require(numbers)
+        sequence.carries(options.also)
     folder = folder_of(out)
     require_places(reads=[*sequence.tables, *reads], folders=[folder], inputs=sequence.images)
     return RunPlan(rendered, numbers, folder)

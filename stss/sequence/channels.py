@@ -3,16 +3,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from stss.images.headers import Header
-from stss.sequence.profiles import Channels, Profile
+from stss.images.headers import Header, read_header
+from stss.sequence.profiles import BUFFERS, Channels, Profile
+from stss_ground.arguments import listing, suggest
 from stss_ground.errors import InputError
 
 LAYERS = ("ViewLayer", "View Layer", "RenderLayer")
 """Blender's names for the only layer of a new scene; they differ between its versions."""
+
+EXPLAINED = 3
+"""Most missing buffers that one line explains."""
 
 
 @dataclass(frozen=True)
@@ -21,6 +25,23 @@ class Source:
 
     path: Path
     names: Channels
+
+
+def find_sources(headers: Mapping[str, Header], profile: Profile) -> dict[str, Source]:
+    """Find the buffers of a frame, in the order of `BUFFERS`.
+
+    Args:
+        headers: ending of a file's name, see `Profile.files`, -> the file's header.
+        profile: has the channels' names.
+
+    Raises:
+        InputError: as `find_buffers`.
+    """
+    ends = {buffer: next((ending for ending in profile.files_of(buffer) if ending in headers), None) for buffer in BUFFERS}
+    sources: dict[str, Source] = {}
+    for ending, header in headers.items():
+        sources |= find_buffers(header, profile, [buffer for buffer in BUFFERS if ends[buffer] == ending])
+    return {buffer: sources[buffer] for buffer in BUFFERS if buffer in sources}
 
 
 def find_buffers(header: Header, profile: Profile, buffers: Collection[str]) -> dict[str, Source]:
@@ -97,13 +118,40 @@ def _in_layer(
     return sources
 
 
-def missing_buffers(profile: Profile, buffers: Collection[str], where: object, there: Collection[str]) -> InputError:
-    """The error for buffers that no file has: for each the expected names and advice; then the channels found (``there``)."""
-    parts: list[str] = []
-    for buffer in buffers:
-        expected_names = " or ".join(", ".join(names) for names in profile.channels[buffer]) or "a constant"
-        endings = " or ".join(f"NAME{ending}.NNNN.exr" for ending in profile.files_of(buffer) if ending)
-        file = f" in a file {endings}" if endings else ""
-        hint = f" ({profile.hints[buffer]})" if buffer in profile.hints else ""
-        parts.append(f"no {buffer}: profile {profile.name} expects {expected_names}{file}{hint}")
-    return InputError(f"{where}: {'; '.join(parts)}; found {', '.join(there) or 'nothing'}")
+class MissingBuffersError(InputError):
+    """Buffers that a profile does not find.
+
+    Attributes:
+        each: for each buffer its names, advice, and a channel of a like name.
+        found: the channels of the files.
+    """
+
+    def __init__(
+        self, where: object, profile: Profile, buffers: Sequence[str], files: Iterable[Path], sources: Mapping[str, Source]
+    ):
+        there = sorted({name for file in files for name in read_header(file).channels})
+        free = {*there} - {name for source in sources.values() for name in source.names}
+        self.each = tuple(_missing_buffer(profile, buffer, free) for buffer in buffers)
+        more = f"; no {', '.join(buffers[EXPLAINED:])} either: stss check explains each" if len(buffers) > EXPLAINED else ""
+        self.found = listing(there) or "nothing"
+        super().__init__(f"{where}: {'; '.join(self.each[:EXPLAINED])}{more}; found {self.found}")
+
+
+def _missing_buffer(profile: Profile, buffer: str, free: Collection[str]) -> str:
+    """What a profile expects for a buffer, and which of the channels that no other buffer takes has a like name."""
+    alternatives = profile.channels[buffer]
+    expected_names = " or ".join(_together(names) for names in alternatives) or "a constant"
+    endings = " or ".join(f"NAME{ending}.NNNN.exr" for ending in profile.files_of(buffer) if ending)
+    file = f" in a file {endings}" if endings else ""
+    hint = f" ({profile.hints[buffer]})" if buffer in profile.hints else ""
+    own = {name.removeprefix("{layer}.") for names in alternatives for name in names}
+    ends = {".".join(name.split(".")[-2:]) for name in free} - own  # of X and Y, one may be there
+    near = suggest(alternatives[0][0].removeprefix("{layer}."), ends) if alternatives else ""
+    return f"no {buffer}: profile {profile.name} expects {expected_names}{file}{hint}{near}"
+
+
+def _together(names: Channels) -> str:
+    """``motion.X, .Y`` for the channels of one layer."""
+    layer = names[0].rpartition(".")[0]
+    same = bool(layer) and all(name.rpartition(".")[0] == layer for name in names)
+    return ", ".join([names[0], *(name.removeprefix(layer) if same else name for name in names[1:])])

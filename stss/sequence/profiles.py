@@ -14,7 +14,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Literal, cast
 
-from stss_ground.arguments import path_of
+from stss_ground.arguments import path_of, suggest
 from stss_ground.errors import InputError
 from stss_ground.toml_table import Table, read_toml
 from stss_ref.depth import DepthMode
@@ -170,7 +170,8 @@ def load_profile(name_or_path: str | Path, **changes: Any) -> Profile:
     else:
         path = named
         if not path.exists():
-            raise InputError(f"profile {text}: expected one of {', '.join(profile_names())} or a TOML file")
+            known = profile_names()
+            raise InputError(f"profile {text}: expected one of {', '.join(known)} or a TOML file{suggest(text, known)}")
     table = _read(path)
     if changes:
         table.path, table.rest = f"profile {text} as changed", _merge(table.rest, changes)

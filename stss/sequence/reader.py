@@ -7,7 +7,6 @@ import hashlib
 from collections.abc import Collection, Iterable, Mapping
 from copy import copy
 from dataclasses import dataclass, field, replace
-from itertools import islice
 from pathlib import Path
 from typing import get_args
 
@@ -19,24 +18,20 @@ from stss.images.headers import MAX_BYTES, MAX_SIDE, Header, read_header
 from stss.images.windows import PixelWindow, union
 from stss.sequence.background import Background, background_motion, projection_of
 from stss.sequence.camera import CameraPose, camera_of, read_cameras
-from stss.sequence.channels import Source, find_buffers, layers_of, missing_buffers, view_of
+from stss.sequence.channels import MissingBuffersError, Source, find_sources, layers_of, view_of
 from stss.sequence.conventions import linear_depth, require_depth_buffer, to_specification
-from stss.sequence.find_files import Frames, find_frames
-from stss.sequence.profiles import BUFFERS, CONSTANTS, Profile, load_profile, profile_names
+from stss.sequence.find_profile import frames_of, require_fit, settle_profile
+from stss.sequence.profiles import BUFFERS, CONSTANTS, Profile
 from stss.sequence.projection import Projection
 from stss.sequence.raw_frame import CARRIED, UNIT_RANGE, NonFinite, RawFrame, read_stored, settle_all_finite, settle_non_finite
 from stss.sequence.solve_camera import solve_camera
-from stss_ground.arguments import path_of, require_choice, require_kind
+from stss_ground.arguments import listing, path_of, require_choice, require_kind, suggest
 from stss_ground.errors import InputError
 from stss_ground.progress import Track
 from stss_ref.arrays import Array, Mask
 
 SURFACE = ("depth", "normal", "position")
 """Buffers without which a pixel shows no surface."""
-LISTED = 24
-"""Most channels that a message lists if they fit no profile."""
-LEAST = 3
-"""Fewest buffers that find a profile: colour alone has the same names everywhere."""
 MAX_RESIDUAL = 1e-2
 """Largest residual of a camera that is found from position and depth: the error of NoV is no larger."""
 
@@ -174,8 +169,7 @@ class Sequence:
         if frame.fault is not None:
             raise frame.fault
         if missing := [buffer for buffer in BUFFERS if buffer != "color" and not self.has(number, buffer)]:
-            there = sorted({name for path in frame.files for name in read_header(path).channels})
-            raise missing_buffers(self.profile, missing, self._where(number), there)
+            raise MissingBuffersError(self._where(number), self.profile, missing, frame.files, frame.sources)
         others = self._carried(number, also) if color and "color" in frame.sources else {}
         arrays, carried = read_stored(frame, self.canvas, self.constants, others, color=color)
         require_depth_buffer(self._where(number), arrays["depth"], self.profile.depth)
@@ -275,7 +269,8 @@ class Sequence:
             ]
             if not sources:
                 names = sorted({full for names in there.values() for full in names})
-                raise InputError(f"{self._where(number)}: no layer or channel {name}; found {', '.join(names)}")
+                near = suggest(name, [*names, *(full.rpartition(".")[0] for full in names)])
+                raise InputError(f"{self._where(number)}: no layer or channel {name}; found {listing(names)}{near}")
             for source in sources:
                 full = source.names[0]
                 other = (own | planes).get(full, source)
@@ -355,7 +350,7 @@ def open_sequence(
             constants[buffer] = value
             if not 0 <= value <= 1:
                 raise InputError(f"{buffer}: expected a number from 0 to 1, found {value}")
-    files_by_number = find_frames(path, table.endings)
+    files_by_number = frames_of(path, table)
     first: Header | None = None
     frames: dict[int, RawFrame] = {}
     for number in track(sorted(files_by_number)):
@@ -411,61 +406,6 @@ class SequenceOptions:
         return open_sequence(path, **vars(self), track=track, keep_going=keep_going)
 
 
-def settle_profile(path: Path, profile: str | Path | Profile | None) -> Profile:
-    """The profile that the user named; None: the one that `find_profile` finds."""
-    if profile is None:
-        return find_profile(path)
-    return profile if isinstance(profile, Profile) else load_profile(profile)
-
-
-def find_profile(path: Path) -> Profile:
-    """The built-in profile whose channels the first frame that can be read has most of.
-
-    Raises:
-        InputError: there is no sequence, no profile fits three buffers, two profiles fit equally many, or several layers fit
-            the best one.
-    """
-    scores: dict[str, int] = {}
-    refusals: list[InputError] = []
-    layers: list[InputError] = []
-    channels: dict[str, None] = {}
-    for name in profile_names():
-        table = load_profile(name)
-        try:
-            files_by_number = find_frames(path, table.endings)
-            number, headers = _first_headers(files_by_number)
-        except InputError as error:
-            refusals.append(error)
-            continue
-        channels |= dict.fromkeys(name for header in headers.values() for name in header.channels)
-        try:
-            scores[name] = len(_frame_of(number, headers, table, None, None).sources)
-        except InputError as error:
-            layers.append(error)
-    if layers and max(scores.values(), default=0) < LEAST:
-        raise layers[0]
-    if not scores:
-        raise refusals[0]
-    best = [name for name, score in scores.items() if score == max(scores.values())]
-    if len(best) > 1 or scores[best[0]] < LEAST:
-        names = ", ".join(islice(channels, LISTED)) + (", ..." if len(channels) > LISTED else "")
-        known = ", ".join(profile_names())
-        raise InputError(f"{path}: the channels fit no profile alone: {names}; say --profile {known} or a TOML file of your own")
-    return load_profile(best[0])
-
-
-def _first_headers(files_by_number: Frames) -> tuple[int, dict[str, Header]]:
-    """The first frame whose headers can be read, and these; raises the first frame's InputError where there is none."""
-    fault = None
-    for number in sorted(files_by_number):
-        try:
-            return number, {ending: read_header(file) for ending, file in files_by_number[number].items()}
-        except InputError as error:
-            fault = fault or error
-    assert fault is not None
-    raise fault
-
-
 def _require_window(header: Header, first: Header) -> None:
     """Raise InputError unless a file has the display window of the first one."""
     if header.display != first.display:
@@ -482,10 +422,7 @@ def _frame_of(
     cameras: Mapping[int, CameraPose] | None,
     table: Path | None,
 ) -> RawFrame:
-    sources: dict[str, Source] = {}
-    ends = {buffer: next((ending for ending in profile.files_of(buffer) if ending in headers), None) for buffer in BUFFERS}
-    for ending, header in headers.items():
-        sources |= find_buffers(header, profile, [buffer for buffer in BUFFERS if ends[buffer] == ending])
+    sources = find_sources(headers, profile)
     files = tuple(header.path for header in headers.values())
     if cameras is None:
         where = next((x for x in (camera_of(header, profile) for header in headers.values()) if x is not None), None)
@@ -498,7 +435,7 @@ def _frame_of(
     }
     windows = {header.path: header.windows for header in headers.values()}
     data = {buffer: windows[source.path][source.names[0]] for buffer, source in sources.items()}
-    return RawFrame(files, {buffer: sources[buffer] for buffer in BUFFERS if buffer in sources}, where, attributes, data)
+    return RawFrame(files, sources, where, attributes, data)
 
 
 def _canvas(path: Path, display: PixelWindow, frames: Iterable[RawFrame]) -> PixelWindow:
@@ -516,5 +453,5 @@ def _require_buffers(path: Path, profile: Profile, frames: Mapping[int, RawFrame
     missing = [buffer for buffer in BUFFERS if buffer not in present and buffer != "nov"]  # which follows from position and depth
     if missing:
         sound = next(frame for frame in frames.values() if frame.fault is None)
-        there = sorted({name for file in sound.files for name in read_header(file).channels})
-        raise missing_buffers(profile, missing, path, there)
+        require_fit(path, profile, sound.sources)
+        raise MissingBuffersError(path, profile, missing, sound.files, sound.sources)

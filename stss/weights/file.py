@@ -18,7 +18,7 @@ import numpy as np
 from safetensors import SafetensorError, safe_open
 
 from conformance.protocol.weights_format import HOLE_FILL_KEY, HOLE_TEST_KEY, SECOND_COLOR_KEY, format_metadata, take_format
-from stss_ground.arguments import path_of
+from stss_ground.arguments import path_of, suggest
 from stss_ground.errors import InputError
 from stss_ground.output.write_whole import write_named
 from stss_ground.regular_file import require_regular
@@ -97,7 +97,8 @@ def _require_file(path: Path) -> None:
     if path.suffix.lower() in {".pkl", ".pth", ".pt"}:
         raise InputError(f"{path}: a PyTorch checkpoint; convert it first: stss weights import")
     if path.suffix.lower() != ".safetensors":
-        raise InputError(f"{path}: expected a .safetensors file or one of the names {', '.join(SHIPPED)}, {BILINEAR}")
+        known = (*SHIPPED, BILINEAR)
+        raise InputError(f"{path}: expected weights, a .safetensors file or one of {', '.join(known)}{suggest(str(path), known)}")
     try:
         size = require_regular(path)
     except OSError as error:

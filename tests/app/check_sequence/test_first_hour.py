@@ -7,7 +7,8 @@ from click.testing import CliRunner
 from stss.cli.main import stss
 from stss.images.headers import read_header
 from stss.images.read_write import read_channels, read_rgb
-from stss.sequence.reader import find_profile, open_sequence
+from stss.sequence.find_profile import find_profile
+from stss.sequence.reader import open_sequence
 from stss.sequence.solve_camera import solve_camera
 from stss_ground.errors import InputError
 

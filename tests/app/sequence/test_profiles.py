@@ -6,7 +6,9 @@ from dataclasses import replace
 import numpy as np
 import OpenImageIO as oiio  # noqa: N813
 import pytest
+from click.testing import CliRunner
 
+from stss.cli.main import stss
 from stss.images.read_write import write_channels
 from stss.sequence.conventions import linear_depth, motion_in_pixels
 from stss.sequence.profiles import BUFFERS, DepthRule, load_profile, profile_names
@@ -26,17 +28,63 @@ def test_built_in_profiles_load(name):
     assert set(profile.channels) == set(BUFFERS)
 
 
-@pytest.mark.parametrize("name", profile_names())
-def test_the_files_of_a_built_in_profile_choose_it(tmp_path, name):
-    """Alone: a new profile with the names of another one would leave the users of both without a choice."""
+def write_shot(folder, name):
+    """Two frames as the renderer of a built-in profile writes them, by the first names that the profile has."""
     profile, files = load_profile(name), {}
     for buffer, (names, *_) in profile.channels.items():
         ending = profile.files_of(buffer)[0]
         files.setdefault(ending, {}).update({each.replace("{layer}", "ViewLayer"): np.ones((4, 4)) for each in names})
     for number in (1, 2):
         for ending, channels in files.items():
-            write_channels(tmp_path / f"shot{ending}.{number:04d}.exr", channels)
+            write_channels(folder / f"shot{ending}.{number:04d}.exr", channels)
+
+
+@pytest.mark.parametrize("name", profile_names())
+def test_the_files_of_a_built_in_profile_choose_it(tmp_path, name):
+    """Alone: a new profile with the names of another one would leave the users of both without a choice."""
+    write_shot(tmp_path, name)
     assert open_sequence(tmp_path).profile.name == name
+
+
+@pytest.mark.parametrize("name", profile_names())
+def test_another_profile_than_that_of_the_files_is_one_short_line(tmp_path, name):
+    """It names both; the hints of the wrong one, which lead nowhere, are left out."""
+    write_shot(tmp_path, name)
+    for wrong in set(profile_names()) - {name}:
+        for words in (["run", "-o", str(tmp_path / "out")], ["check"]):
+            said = CliRunner().invoke(stss, [*words, str(tmp_path), "--profile", wrong], catch_exceptions=True)
+            text = str(said.exception) if words[0] == "run" else said.output.splitlines()[0]
+            assert re.search(rf"profile {wrong}(?!-).*profile {name}\b", text), text
+            assert len(text.replace(str(tmp_path), "")) < 200
+
+
+@pytest.mark.parametrize(("wrong", "near"), [
+    ("blener", "blender or blender-files"), ("Unreal_MRQ", "unreal-mrq or unreal"), ("vray", None), ("blender.tom", "blender"),
+])  # fmt: skip
+def test_a_profile_that_is_not_there_is_told_its_like(wrong, near):
+    with pytest.raises(InputError) as error:
+        load_profile(wrong)
+    assert str(error.value).startswith(f"profile {wrong}: expected one of blender, ")
+    assert str(error.value).partition("; did you mean ")[2] == (f"{near}?" if near else "")
+
+
+@pytest.mark.parametrize("count", [20, 1000])
+def test_many_missing_buffers_are_one_short_line(tmp_path, count):
+    """With names of the renderer's own, and as many channels as a file with all of its light groups has."""
+    names = ["ViewLayer.Combined.R", "ViewLayer.Combined.G", "ViewLayer.Combined.B", "ViewLayer.Vectors.X", "ViewLayer.Vectors.Y"]
+    write_channels(tmp_path / "a.0001.exr", {n: np.ones((4, 4)) for n in (*names, *(f"light{i}.W" for i in range(count)))})
+    with pytest.raises(InputError) as error:
+        open_sequence(tmp_path, "blender")
+    text = str(error.value).replace(str(tmp_path), "")
+    assert "no motion: profile blender expects {layer}.Vector.X, .Y (turn on the Vector pass" in text
+    assert "; did you mean Vectors.X or Vectors.Y?" in text
+    assert "; no position, stencil, base_color, roughness, metallic either: stss check explains each; found " in text
+    assert len(text) < 900
+    lines = CliRunner().invoke(stss, ["check", str(tmp_path), "--profile", "blender"]).output.splitlines()
+    assert [line.split()[2].rstrip(":") for line in lines if line.startswith("error: no ")] == [
+        "motion", "normal", "depth", "position", "stencil", "base_color", "roughness", "metallic",
+    ]  # fmt: skip
+    assert max(map(len, lines)) < 500
 
 
 def test_a_profile_is_a_file_like_any_other(tmp_path):

@@ -90,7 +90,10 @@ def test_what_is_no_weights_file_is_named(path: Path):
 
     refused("No such file")
     refused("stss weights import", path.with_suffix(".pkl"))
-    refused("expected a .safetensors file or one of the names realtime, antialiased, bilinear", path.with_name("bicubic"))
+    refused(
+        "expected weights, a .safetensors file or one of realtime, antialiased, bilinear",
+        path.with_name("bicubic"),
+    )
     save(path, zeros(), {})
     whole = path.read_bytes()
     for keep in (0, 100, -1):
