@@ -158,7 +158,7 @@ def load_graph_port(model: Model, spec: str | None, program: str | None, timeout
     if (spec is None) == (program is None):
         raise InputError("expected either --port or --exec PROGRAM")
     if program is not None:
-        return GraphProgram(split_command(program), timeout)
+        return GraphProgram(split_command(program), timeout, keep=False)
     engine, _, option = (spec or "").partition(":")
     try:
         if engine in ENGINES:

@@ -51,7 +51,8 @@ def load_port(
         raise InputError("expected either --port package.module:factory or --exec PROGRAM")
     origin = spec or program
     try:
-        port: Any = import_port(spec) if spec is not None else FolderPort(split_command(program or ""), timeout, stages=stages)
+        words = split_command(program or "") if spec is None else []
+        port: Any = import_port(spec) if spec is not None else FolderPort(words, timeout, stages=stages, keep=False)
         lacking = [name for name in ("name", "dtype", "stages", "run") if not hasattr(port, name)]
         if lacking:
             raise InputError(f"{spec}: expected a port, got a {type(port).__name__} without {', '.join(lacking)}")

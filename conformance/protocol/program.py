@@ -22,11 +22,15 @@ ROOM, LEAST_ROOM = 4, 512 * 2**20
 """Free memory for a job in memory: a multiple of its inputs, and at least this number of bytes."""
 
 
+class NotStartedError(PortError):
+    """There is no such program, or it may not be executed."""
+
+
 class Program:
     """A program, called with job folders.
 
     A job folder is removed after success. After a failure it is kept, with ``stderr.txt`` and ``stdout.txt`` in it, and the error
-    names it.
+    names it; of many failures only the last one's is there.
 
     Attributes:
         name: the program's name, without its folder.
@@ -34,18 +38,20 @@ class Program:
         kept_job: the job folder of its last run that failed, if any.
     """
 
-    def __init__(self, command: Sequence[str], timeout: float):
+    def __init__(self, command: Sequence[str], timeout: float, *, keep: bool = True):
         """Make a port of a command.
 
         Args:
             command: program and arguments; the job folder is added as the last one.
             timeout: seconds for one job, whatever the number of cases.
+            keep: keep the job of a failure; not where the caller keeps its case, as the judge does.
         """
         self.name = Path(command[0]).name
         self.stderr = ""
         self.kept_job: Path | None = None
         self._command = list(command)
         self._timeout = timeout
+        self._keep = keep
         self._server: Server | None = None
         self._serves = True
         atexit.register(self.restart)
@@ -80,15 +86,9 @@ class Program:
             for number in range(len(cases)):
                 results.append(read(job / f"{number:04d}", number))
         except JobError as error:
-            # Of many starts that fail while a case is made smaller, only the last job is kept.
-            if self.kept_job is not None:
-                shutil.rmtree(self.kept_job, ignore_errors=True)
             at = len(results) if ran else _first_unanswered(job, len(cases))
-            self.kept_job = (
-                Path(shutil.move(job, tempfile.gettempdir())) if job.parent == MEMORY else job
-            )  # memory is not for what stays
-            words = str(error).replace(str(job), str(self.kept_job))
-            raise PortError(f"{self.name}: {words}; its job is kept: {self.kept_job}{self._last_words()}", at) from error
+            last_words = f"\n{self.stderr}" if self.stderr else ""
+            raise PortError(f"{self.name}: {self._put_away(job, str(error))}{last_words}", at) from error
         except BaseException:
             shutil.rmtree(job, ignore_errors=True)
             raise
@@ -100,7 +100,7 @@ class Program:
         try:
             server = self._serving()
         except OSError as error:
-            raise PortError(f"{self._command[0]}: cannot be started: {error.strerror or error}") from error
+            raise NotStartedError(f"{self._command[0]}: cannot be started: {error.strerror or error}") from error
         if server is not None:
             try:
                 server.run(job, self._timeout)
@@ -114,7 +114,7 @@ class Program:
             try:
                 ending = run_alone([*self._command, str(job)], out, err, self._timeout)
             except OSError as error:
-                raise PortError(f"{self._command[0]}: cannot be started: {error.strerror or error}") from error
+                raise NotStartedError(f"{self._command[0]}: cannot be started: {error.strerror or error}") from error
             self.stderr = ending.stderr
         if failed := _fault_of(ending, self._timeout):
             raise JobError(failed)
@@ -130,8 +130,16 @@ class Program:
                 self._serves = False
         return self._server
 
-    def _last_words(self) -> str:
-        return f"\n{self.stderr}" if self.stderr else ""
+    def _put_away(self, job: Path, words: str) -> str:
+        """Keep or remove the job of a failure; gives its ``words`` with the place where the job is now."""
+        if not self._keep:
+            shutil.rmtree(job, ignore_errors=True)
+            return words.replace(f"{job}{os.sep}", "")
+        if self.kept_job is not None:
+            shutil.rmtree(self.kept_job, ignore_errors=True)
+        in_memory = job.parent == MEMORY  # which is not for what stays
+        self.kept_job = Path(shutil.move(job, tempfile.gettempdir())) if in_memory else job
+        return f"{words.replace(str(job), str(self.kept_job))}; its job is kept: {self.kept_job}"
 
 
 def place_for(cases: Sequence[Case]) -> Path | None:

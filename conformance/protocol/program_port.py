@@ -5,12 +5,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from time import monotonic
 
 import numpy as np
 
 from conformance.protocol.job_folder import DTYPE, read_layers, read_outputs, write_job
 from conformance.protocol.port import Arrays, Case, Outputs, PortError, Unsupported
-from conformance.protocol.program import Program
+from conformance.protocol.program import NotStartedError, Program
 from conformance.protocol.stages import STAGES, check_inputs
 from stss_ref.weights import Weights, zeros
 
@@ -25,7 +26,9 @@ class FolderPort(Program):
         dtype: the program's arithmetic; the files are float32 in any case.
     """
 
-    def __init__(self, command: Sequence[str], timeout: float, dtype: str = DTYPE, stages: Iterable[str] = STAGES):
+    def __init__(
+        self, command: Sequence[str], timeout: float, dtype: str = DTYPE, stages: Iterable[str] = STAGES, *, keep: bool = True
+    ):
         """Make a port of a command.
 
         Args:
@@ -33,22 +36,52 @@ class FolderPort(Program):
             timeout: seconds for one start, whatever the number of cases.
             dtype: ``float32`` or ``float16``.
             stages: the stages to ask for; all others count as lacking.
+            keep: as of `Program`.
         """
-        super().__init__(command, timeout)
+        super().__init__(command, timeout, keep=keep)
         self._asked_for = [stage for stage in STAGES if stage in set(stages)]
         self.dtype = dtype
         self._stages: frozenset[str] | None = None
 
     def stages(self) -> frozenset[str]:
-        """The stages that the program supports at some size: asked once, with a small case and, without success, a larger one."""
+        """The stages that the program supports at some size: asked once, with a small case and, without success, a larger one.
+
+        A stage at which it fails is one of them, and fails its tests.
+
+        Raises:
+            PortError: the program cannot be started, or fails at each of several stages.
+        """
         if self._stages is None:
             stages: set[str] = set()
             for size in PROBED:
                 cases = [smallest_case(stage, size) for stage in self._asked_for if stage not in stages]
-                results = zip(cases, self.run_many(cases), strict=True)
-                stages |= {case.stage for case, result in results if not isinstance(result, Unsupported)}
+                answers = zip(cases, self._probe(cases), strict=True)
+                stages |= {case.stage for case, answer in answers if not isinstance(answer, Unsupported)}
             self._stages = frozenset(stages)
         return self._stages
+
+    def _probe(self, cases: Sequence[Case]) -> Sequence[Outputs | Unsupported | PortError]:
+        """The answers at one start; where that fails, each at a start of its own, as long as any is answered in time."""
+        try:
+            return self.run_many(cases)
+        except NotStartedError:
+            raise
+        except PortError as error:
+            if len(cases) == 1:
+                return [error]
+        answers: list[Outputs | Unsupported | PortError] = []
+        end = monotonic() + self._timeout
+        for case in cases:
+            try:
+                answers += self.run_many([case])
+            except PortError as error:
+                answers.append(error)
+            if monotonic() > end:
+                break
+        if all(isinstance(answer, PortError) for answer in answers):
+            few = cases[0].stage
+            raise PortError(f"{few} and each other stage that was asked for fails; --stages {few} judges it alone; {answers[0]}")
+        return answers
 
     def run(self, stage: str, inputs: Arrays, weights: Weights | None = None) -> Outputs:
         """Compute one case at a start of its own. Errors as ``run_many``; an unsupported stage is an error too."""
