@@ -15,6 +15,7 @@ import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from io import BytesIO
+from itertools import islice
 from pathlib import Path
 from urllib.parse import quote
 
@@ -27,6 +28,7 @@ from conformance.protocol.port import AnyArray, Arrays, Case, Outputs, Unsupport
 from conformance.protocol.stages import check_input_shapes, check_inputs, check_output_shapes, find, require_inputs
 from conformance.protocol.weights_file import serialise
 from conformance.protocol.weights_format import take_format
+from stss_ground.arguments import listing
 from stss_ground.terminal import printable
 from stss_ref.arrays import ArrayError
 from stss_ref.weights import Weights, WeightsError, check
@@ -46,6 +48,8 @@ MOST_HEADER = 10_000
 """Bytes of the header of a ``.npy`` file, as NumPy's ``max_header_size``."""
 SPACES = 0, 0, 64, 256
 """Spaces at the end of an input's header, by its array's size: NumPy writes 128 bytes for nearly every array, other programs write more."""
+MOST_NAMES = 100
+"""Most files of a folder that are looked at for a message."""
 MOST_WEIGHTS_BYTES = 64 * 2**20
 """Most bytes of a weights file; this network's has 1.7 MiB."""
 
@@ -368,10 +372,18 @@ def read_array(path: Path) -> AnyArray:
     return _load(array)
 
 
+def _others(folder: Path) -> str:
+    """What stands in a folder in the place of a missing file: a porter's own spelling of its name."""
+    if not folder.is_dir():
+        return f"there is no folder {folder.name}"
+    names = sorted(each.name for each in islice(folder.iterdir(), MOST_NAMES))
+    return f"{folder.name} holds {listing(names, 8) or 'nothing'}"
+
+
 def _map_file(path: Path) -> AnyArray:
     """A file's array, whose numbers are not yet read: only its header was."""
     if not path.is_file():
-        raise JobError(f"{path}: {'not a file' if path.exists() else 'missing'}")
+        raise JobError(f"{path}: {'not a file' if path.exists() else f'missing; {_others(path.parent)}'}")
     try:
         _require_short_header(path)
         array = np.lib.format.open_memmap(path, mode="r")

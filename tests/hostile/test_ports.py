@@ -121,7 +121,12 @@ FAULTS = {
     "talks without end": ("while True: os.write(2, b'x' * 2**20)", "stopped: more than 64 MiB"),
     "fails": ("sys.exit(3)", "ended with status 3"),
     "crashes": ("import signal; os.kill(os.getpid(), signal.SIGSEGV)", "ended by SIGSEGV"),
-    "leaves a mask out": ("right(); (out / 'inside.npy').unlink()", "inside.npy: missing"),
+    "leaves a mask out": ("right(); (out / 'inside.npy').unlink()", "inside.npy: missing; out holds warped.npy"),
+    "spells a name otherwise": (
+        "right(); (out / 'inside.npy').rename(out / 'Inside.npy')",
+        "inside.npy: missing; out holds Inside.npy, warped.npy",
+    ),
+    "makes no folder": ("shutil.rmtree(out, ignore_errors=True)", "warped.npy: missing; there is no folder out"),
     "turns an image": (
         "right(); np.save(out / 'warped.npy', np.zeros((3, 8, 8), 'f4'))",
         "expected shape (8, 8, 3), got (3, 8, 8)",
