@@ -140,6 +140,8 @@ class _Search:
             failure = self._judge.failure()
             if self.smallest is None or _numbers(failure.drawn_case) <= _numbers(self.smallest.drawn_case):
                 self.smallest = failure
+            if not self._judge.shrink:  # by itself Hypothesis goes on steering the cases that are right
+                raise EnoughError from None
             raise
         if self._right is None:
             for output, worst in self._judge.near.items():

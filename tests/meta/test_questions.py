@@ -4,13 +4,15 @@ import numpy as np
 import pytest
 from hypothesis import strategies as st
 
-from conformance.judging.findings import DepartureError
+from conformance.judging.findings import DepartureError, Finding
 from conformance.judging.judge import Judge, Tier
 from conformance.judging.questions import ask
 from conformance.protocol.port import Case, PortError
+from conformance.protocol.program_port import smallest_case
 from conformance.protocol.stages import reference
 from conformance.suite.properties import cases, find_property
 from conformance.suite.run_suite import run_suite
+from stss.port import ReferencePort
 
 
 class Program:
@@ -150,3 +152,20 @@ def test_cases_are_drawn_once_unless_one_fails():
         test(Judge(Program(), Tier("some", 40, 5)))
     assert len(draws) > 2 * once
     assert draws[-1] == (1, 6)
+
+
+def test_what_is_not_made_smaller_ends_at_the_first_failure():
+    """Though the errors of right answers could be steered on."""
+    asked = []
+
+    @cases(st.tuples(st.integers(0, 10**6), st.integers(0, 10**6)))
+    def test(judge, numbers):
+        asked.append(max(numbers) > 999_900)
+        judge.near = dict(zip("ab", numbers, strict=True))
+        if asked[-1]:
+            raise DepartureError(Finding("too much", smallest_case("warp"), "warped", None, None))
+        yield from ()
+
+    with pytest.raises(DepartureError):
+        test(Judge(ReferencePort(), Tier("some", 400, 5), shrink=False))
+    assert sum(asked) == 1
