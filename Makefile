@@ -2,6 +2,9 @@
 PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
+# Python compiles a module, ours too, when it is first imported, and keeps the result: a tenth of what is installed ever is.
+PIP    := --quiet --no-compile
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: demo test test-thorough test-training test-blender check bench mutants alarms faults fuzz kills gpu offline portability lowest judge-wheel clean
 
@@ -22,7 +25,7 @@ test-training: $(VENV)/.test $(VENV)/.train
 # The extension's zip in Blender as a Python module (Python 3.11 or 3.13; 350 MB): built, installed, its button pressed.
 test-blender: $(VENV)/.test
 	$(PYTHON) -m venv $(VENV)-blender
-	$(VENV)-blender/bin/python -m pip install --quiet bpy
+	$(VENV)-blender/bin/python -m pip install $(PIP) bpy
 	STSS_BPY_PYTHON=$(VENV)-blender/bin/python $(BIN)/python -m pytest tests/app/blender/test_blender_extension.py
 
 check: $(VENV)/.check
@@ -69,8 +72,8 @@ portability: $(VENV)/.test
 lowest: $(VENV)/.base
 	$(BIN)/python -m venv $(VENV)-lowest
 	$(BIN)/python tests/lowest.py > $(VENV)-lowest/requirements.txt
-	$(VENV)-lowest/bin/python -m pip install --quiet -r $(VENV)-lowest/requirements.txt pytest-xdist hatchling scipy
-	$(VENV)-lowest/bin/python -m pip install --quiet --no-deps --editable .
+	$(VENV)-lowest/bin/python -m pip install $(PIP) -r $(VENV)-lowest/requirements.txt pytest-xdist hatchling scipy
+	$(VENV)-lowest/bin/python -m pip install $(PIP) --no-deps --editable .
 	$(VENV)-lowest/bin/python -m pytest -n 2 --dist worksteal --no-loadscope-reorder
 
 # The judge of ports alone, without OpenCL and image libraries: dist/spacetime_supersampling_judge-*.whl.
@@ -81,19 +84,19 @@ judge-wheel: $(VENV)/.python
 $(VENV)/.python:
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10) and "stss needs Python 3.10 or newer; set PYTHON=...")'
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --upgrade pip
+	$(BIN)/python -m pip install $(PIP) --upgrade pip
 	@touch $@
 
 $(VENV)/.base: $(VENV)/.python pyproject.toml
-	$(BIN)/python -m pip install --quiet --editable .
+	$(BIN)/python -m pip install $(PIP) --editable .
 	@touch $@
 
 $(VENV)/.test $(VENV)/.check $(VENV)/.offline: $(VENV)/.%: $(VENV)/.base
-	$(BIN)/python -m pip install --quiet --group $*
+	$(BIN)/python -m pip install $(PIP) --group $*
 	@touch $@
 
 $(VENV)/.train $(VENV)/.bench: $(VENV)/.%: $(VENV)/.base
-	$(BIN)/python -m pip install --quiet --editable '.[$*]'
+	$(BIN)/python -m pip install $(PIP) --editable '.[$*]'
 	@touch $@
 
 clean:
