@@ -197,6 +197,9 @@ def _frame(generator: np.random.Generator) -> Any:
     yield from (make(generator) for make in frame_cases()[::2])
 
 
+AHEAD: frozenset[str] = frozenset()
+"""Stages that the example ports, in C++ and WGSL, do not have yet."""
+
 _SAMPLES: dict[str, Callable[[np.random.Generator], Any]] = {
     "motion_chain": _motion_chain,
     "warp": _warp,

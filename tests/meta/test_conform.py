@@ -35,7 +35,7 @@ from stss_lab.stress.inputs import exact
 from stss_ref.constants import HOLE_FILLS
 from stss_ref.weights import Weights
 from tests.hostile.cases import call
-from tests.meta.samples import samples
+from tests.meta.samples import AHEAD, samples
 
 EXAMPLE = Path(__file__).parents[2] / "conformance" / "examples" / "cpp"
 WRONG = """
@@ -343,7 +343,7 @@ def test_the_example_in_cpp_passes(tmp_path):
         layers = port.layers(stage, case.inputs, case.weights)
         assert list(layers) == list(names)
         assert max(largest(right[name], layers[name]) for name in names) <= 1
-    assert port.stages() == set(STAGES)
+    assert port.stages() == set(STAGES) - AHEAD
     results = run_suite(Judge(port, Tier("some", 4, 1, 0)), sorted(port.stages()), only="agrees_with")
     assert not [f"{result.id}: {result.message}" for result in results if result.outcome != "passed"]
     detailed = [

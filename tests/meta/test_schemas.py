@@ -34,7 +34,7 @@ def schema(name):
 
 
 def faults(value, rules):
-    return not jsonschema.Draft202012Validator(rules).is_valid(value)
+    return [f"{error.json_path}: {error.message[-200:]}" for error in jsonschema.Draft202012Validator(rules).iter_errors(value)]
 
 
 @pytest.fixture(scope="module")
