@@ -3,9 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from time import process_time
 from typing import Any
 
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from conformance.answers.expected import Expected
 from conformance.cases.engine_inputs import ENGINE_STAGES, engine_inputs
+from conformance.cases.large_inputs import large_inputs, network_case
 from conformance.judging.findings import DepartureError, Finding
 from conformance.judging.judge import Judge
 from conformance.mistakes import Mistake, of_stage
@@ -27,6 +28,9 @@ MOST_SECONDS = 20.0
 MOST_NAMED = 2
 RARE = frozenset((*EVERYWHERE, *PRECISION))
 """Mistakes to try if no other explains the numbers."""
+TELLING_SIZE = {"network": (21, 43)}
+"""(H, W) of the case by which mistakes of a stage of the network are told apart: that of ``network`` is padded to 24 x 48, the others have
+5 x 7 pixels at 1/8 size."""
 INSIDE = ("history", "encoder", "erm", "decoder")
 CONTAINS = {"network": INSIDE, "frame": ("motion_chain", "warp", "holes", "occlusion_warp", "reshade", "network", *INSIDE)}
 ALIKE = 0.99
@@ -54,7 +58,7 @@ def diagnose(judge: Judge, findings: Iterable[Finding]) -> str:
     """Name the known mistakes that a port's wrong answers look like: all of them, and its right answers, too.
 
     Args:
-        judge: has the port, and the last cases that it answered.
+        judge: has the port, and the largest cases that it answered.
         findings: failures of one property: the first, the smallest, and others.
 
     Returns:
@@ -65,36 +69,46 @@ def diagnose(judge: Judge, findings: Iterable[Finding]) -> str:
     failures = [each for each in (_again(judge, finding) for finding in different) if each is not None]
     if not failures:
         return ""
-    others = [_answered(judge, case, got) for case, got in judge.answered if case.stage == failures[0].case.stage]
-    mistakes, end = suspects(failures[0].case.stage), process_time() + MOST_SECONDS
+    stage = failures[0].case.stage
+    mistakes, end = suspects(stage), process_time() + MOST_SECONDS
+    others: list[_Answered] | None = None
     matches: list[tuple[float, Mistake]] = []
     count = 0
     for mistake in mistakes:
         if process_time() > end or (mistake in RARE and any(each not in RARE for _, each in matches)):
             break
         count += 1
-        distances = [_distance(mistake, failures[0])]
-        if distances[0] < np.inf:
-            distances += [_distance(mistake, each) for each in [*failures[1:], *others]]
-        if max(distances) < np.inf:
-            matches.append((distances[0], mistake))
-    return _describe(_tell_apart(judge, failures[0].case.stage, matches), count)
+        distance = _distance(mistake, failures[0])
+        if distance < np.inf:
+            others = _others(judge, stage) if others is None else others
+            if all(_distance(mistake, each) < np.inf for each in [*failures[1:], *others]):
+                matches.append((distance, mistake))
+    return _describe(matches, count)
 
 
-def _tell_apart(judge: Judge, stage: str, matches: list[tuple[float, Mistake]]) -> list[tuple[float, Mistake]]:
-    """Of mistakes that all explain the failures: those that also explain the port's answers to the values of engines, if any does.
+def _others(judge: Judge, stage: str) -> list[_Answered]:
+    """The port's answers to the largest cases of its test, and to cases that tell mistakes apart.
 
     The smallest failures have a pixel or two, in which many mistakes look alike.
     """
-    for make in engine_inputs(stage) if len(matches) > 1 and stage in ENGINE_STAGES else ():
+    answers = [_answered(judge, case, got) for case, got in judge.answered if case.stage == stage]
+    for make in _telling_cases(stage):
         inputs = make(np.random.default_rng(0))
         case = judge.make_case(stage, *(inputs if STAGES[stage].weights else (inputs,)))
         try:
-            answer = _answered(judge, case, judge.run(case.stage, case.inputs, case.weights))
+            answers.append(_answered(judge, case, judge.run(case.stage, case.inputs, case.weights)))
         except DepartureError:
             continue  # an answer of another shape, or none: nothing to compare
-        matches = [match for match in matches if _distance(match[1], answer) < np.inf] or matches
-    return matches
+    return answers
+
+
+def _telling_cases(stage: str) -> Sequence[Callable[[np.random.Generator], Any]]:
+    """The values of engines; for stages of the network random ones in several windows of its layers; for rrm a large frame."""
+    if stage in ENGINE_STAGES:
+        return engine_inputs(stage)
+    if STAGES[stage].weights:
+        return (partial(network_case, stage, TELLING_SIZE.get(stage, (40, 56))),)
+    return large_inputs(stage, 1)
 
 
 def _again(judge: Judge, finding: Finding) -> _Answered | None:

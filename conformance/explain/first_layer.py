@@ -13,12 +13,9 @@ from conformance.protocol.layers import LAYERS_OF, check_layers
 from conformance.protocol.port import Outputs, PortError, error_text, foreign_code
 from stss_ref.arrays import ArrayError
 
-ASKED_FOR = ("network", "frame")
-"""Stages of many layers: if the port returns none, the message suggests it."""
-
 
 def first_departure(judge: Judge, finding: Finding) -> str:
-    """Words on the first layer that departs; empty if the stage has none, or the port returns none."""
+    """Words on the first layer that departs; empty if the stage has none."""
     case = finding.case
     specs = LAYERS_OF.get(case.stage, {})
     if not specs or case.weights is None or finding.expected is None:
@@ -28,14 +25,14 @@ def first_departure(judge: Judge, finding: Finding) -> str:
     except (ArrayError, PortError) as error:
         return f"its layers cannot be read: {error}"
     if not got:
-        return "the port returns no layers, so the first that departs cannot be named" if case.stage in ASKED_FOR else ""
+        return "the port returns no layers, so the first that departs cannot be named"
     right = expect_layers(case.stage, judge.exactly(case.inputs, case.stage), case.weights, judge.arithmetic)
     there = [name for name in specs if name in got]
     for i, name in enumerate(there):
         if (worst := largest(closer := right[name].closer(got[name]), got[name])) > 1:
             before = f"; the {i} before it are right" if i > 1 else f"; {there[0]} before it is right" if i else ""
             return f"first departs at layer {describe(name, got[name], closer, worst)}{before}"
-    return f"none of the {len(there)} layers that the port returns departs"
+    return f"none of the {len(there)} layers that the port returns departs, so what comes after {there[-1]} does"
 
 
 def _layers_of(judge: Judge, finding: Finding) -> Outputs:

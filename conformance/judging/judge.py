@@ -69,7 +69,7 @@ class Judge:
         record: of the test that runs now; the runner sets a new one before each test.
         tell: called with a failure that takes long to be made smaller.
         near: largest error / bound of each output in the last case.
-        answered: the last cases of this test that were compared with the reference, and the port's answers.
+        answered: the largest cases of this test that were compared with the reference, and the port's answers.
     """
 
     def __init__(
@@ -93,7 +93,7 @@ class Judge:
         self.record = Record()
         self.tell: Callable[[Finding], None] = lambda _: None
         self.near: dict[str, float] = {}
-        self.answered: deque[tuple[Case, Outputs]] = deque(maxlen=OTHERS)
+        self.answered: list[tuple[Case, Outputs]] = []
         self._before: deque[Any] = deque(maxlen=MOST_BEFORE)
         self._rounded: deque[tuple[Arrays, str, dict[str, NDArray[Any]]]] = deque(maxlen=MOST_ROUNDED)
         self._weights: dict[int, tuple[Weights, Weights]] = {}
@@ -306,12 +306,19 @@ class Judge:
             self.record.unjudged += 1
             expected = {name: _finite(got) for name, got in outputs.items() if not np.isfinite(got).all()}
         else:
-            self.answered.append((case, outputs))
+            self._remember(case, outputs)
         for name, right in expected.items():
             try:
                 self.holds(f"{stage}.{name}", outputs[name], right)
             except WrongError as error:
                 raise error.of(case) from None
+
+    def _remember(self, case: Case, outputs: Outputs) -> None:
+        """Keep the largest cases: one that was made smaller until it barely fails tells few mistakes apart."""
+        self.answered.append((case, outputs))
+        if len(self.answered) > OTHERS:
+            sizes = [sum(array.size for array in case.inputs.values()) for case, _ in self.answered]
+            del self.answered[sizes.index(min(sizes))]
 
     def agrees_exactly(self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights) -> Talk:
         """Run a case that needs no rounding, and expect the right bits; a Winograd port has its bounds, since its matrices have thirds."""

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from conformance.protocol.reference_copy import Mistake, Plant, change_arguments, fault, half, put, returns, wrap
-from stss_ref.conv import conv_named, gated, relu
-from stss_ref.erm import WINDOW, attend
+from stss_ref.conv import conv_named, gated, relu, sigmoid
+from stss_ref.erm import WINDOW, attend, divide, window
 from stss_ref.resample import lerp_along, upsample_centres, upsample_corners
 
 Change = Callable[..., Any]
@@ -113,6 +113,16 @@ def _gate_unbiased(weights: Any, name: str) -> Any:
     return {**weights, bias: weights[bias] * 0}
 
 
+def _gate_of_relu(_: Change, x: Any, weights: Any, name: str, stride: int = 1) -> Any:
+    gate = conv_named(relu(x), weights, f"{name}.conv_mask.0", stride)
+    return conv_named(x, weights, f"{name}.conv_feature", stride) * sigmoid(gate)
+
+
+def _inputs_first(weight: Any) -> Any:
+    """The numbers of (O, I, k, k) read as (I, O, k, k)."""
+    return weight.reshape(weight.shape[1], weight.shape[0], *weight.shape[2:]).swapaxes(0, 1)
+
+
 def _below_and_right(conv: Change, x: Any, weight: Any, bias: Any, stride: int = 1) -> Any:
     return conv(x, weight, bias)[stride - 1 :: stride, stride - 1 :: stride]
 
@@ -176,6 +186,8 @@ ENCODER = (
         change_arguments("conv.sigmoid", x=lambda x: np.clip(x, -4, 4)),
     ),
     _gate("gate_unbiased", "the gate's bias forgotten", change_arguments("conv.gated", weights=_gate_unbiased)),
+    _gate("sigmoid_by_powers", "exp(x) as (1 + x / 256)^256", put("conv.sigmoid", lambda x: 1 / (1 + (1 - x / 256) ** 256))),
+    _encoder("gate_of_relu", "the gate reads the input behind a ReLU", wrap("conv.gated", _gate_of_relu)),
     _encoder("relu6", "ReLU that ends at 6", returns("conv.relu", lambda y: np.minimum(y, 6)), also=OTHERS),
     _encoder("leaky_relu", "a leaky ReLU", returns("conv.relu", lambda _, x: np.maximum(x, x * 0.01)), also=OTHERS),
     _encoder("replicated", "replicates the border instead of zeros", put("conv.surround_with_zeros", _edged), also=OTHERS),
@@ -189,7 +201,9 @@ ENCODER = (
         weight=lambda w: w.swapaxes(0, 1) if w.shape[0] == w.shape[1] else w,
         also=("history", "erm"),
     ),
+    _conv("inputs_first", "weights read as (input, output, row, column)", weight=_inputs_first),
     _conv("unbiased", "no bias", bias=np.zeros_like),
+    _conv("biased_twice", "the bias twice", bias=lambda bias: bias * 2),
     _conv("half_weights", "weights in half precision", weight=half),
     _conv("tf32", "factors of 10 bits", x=half, weight=half),
     _encoder("half_sum", "sums in half precision", wrap("conv.conv", _half_sum), also=OTHERS),
@@ -207,6 +221,21 @@ def _last_relu(name: str, of: str) -> Mistake:
     return _erm(
         name, f"ReLU after the last layer of {of}", change_arguments("erm.conv_chain", last_relu=lambda _, name: name == of)
     )
+
+
+def _within_last(right: Change, x: Any) -> Iterable[Any]:
+    seen = np.zeros_like(x)
+    seen[:-1, :-1] = x[:-1, :-1]
+    return right(seen)
+
+
+def _summed_before_relu(query: Any, key: Any, value: Any) -> Any:
+    total, weight_sum = np.zeros_like(value), np.zeros_like(value[..., :1])
+    for key_there, value_there in zip(window(key), window(value), strict=True):
+        weight = (key_there * query).sum(axis=-1, keepdims=True)
+        total += relu(weight) * value_there
+        weight_sum += weight
+    return divide(total, weight_sum)
 
 
 def _every_64th(window: Change, x: Any) -> Iterable[Any]:
@@ -253,6 +282,7 @@ ERM = (
         "V(p - d) for V(p + d)",
         returns("erm.window", lambda places, x: [*places][:: -1 if x.shape[-1] == 64 else 1]),
     ),
+    _erm("last_left_out", "windows do not see the frame's last row and column", wrap("erm.window", _within_last)),
     _erm(
         "window_64",
         "windows do not see across every 64th column",
@@ -279,6 +309,7 @@ ERM = (
     _weight("weight_absolute", "|w| for relu(w)", np.abs),
     _weight("softmax", "exp for ReLU", np.exp),
     _weight("half_weight", "weights in half precision", lambda weight: half(np.maximum(weight, 0))),
+    _erm("summed_before_relu", "the sum of weights has negative ones", put("erm.attend", _summed_before_relu)),
     _erm("undivided", "as in the paper: not divided by the sum", put("erm.divide", lambda total, _: total)),
     _erm("mean", "divides by the number of pixels", put("erm.divide", lambda total, _: total / WINDOW**2)),
     _erm("unclamped_sum", "0 / 0 where nothing is to be trusted", put("erm.divide", np.divide)),
@@ -286,6 +317,11 @@ ERM = (
     _down("down_4_and_5", "pixels 8i + 4 and 8i + 5", lambda x: (x[4::8] + x[5::8]) / 2),
     _down("down_first", "pixel 8i", lambda x: x[::8]),
     _down("down_nearest", "pixel 8i + 4", lambda x: x[4::8]),
+    _erm(
+        "mask_of_a_pixel",
+        "the mask at 1/8 size is that of pixel 8i + 3",
+        wrap("erm.downsample_8", lambda right, x: x[3::8, 3::8] if x.shape[-1] == 1 else right(x)),
+    ),
     _down("down_mean", "the mean of the 8 x 8 block", lambda x: x.reshape(len(x) // 8, 8, *x.shape[1:]).mean(axis=1)),
 )
 
@@ -353,6 +389,11 @@ DECODER = (
         "skip_last",
         "the skip after the upsampled features",
         change_arguments("decoder.conv_chain", x=lambda x, name: np.roll(x, -32 if name.startswith("up1") else -24, axis=-1)),
+    ),
+    _decoder(
+        "outputs_by_8",
+        "outputs behind the last multiple of 8 are 0",
+        returns("conv.conv", lambda y: y * (np.arange(y.shape[-1]) < y.shape[-1] // 8 * 8)),
     ),
     _decoder("first_relu_missing", "no ReLU between the two convolutions", _relu_missing("decoder", 0)),
     _decoder("second_relu_missing", "no ReLU after the two convolutions", _relu_missing("decoder", 1)),

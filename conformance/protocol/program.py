@@ -87,8 +87,7 @@ class Program:
                 results.append(read(job / f"{number:04d}", number))
         except JobError as error:
             at = len(results) if ran else _first_unanswered(job, len(cases))
-            last_words = f"\n{self.stderr}" if self.stderr else ""
-            raise PortError(f"{self.name}: {self._put_away(job, str(error))}{last_words}", at) from error
+            raise PortError(f"{self.name}: {self._put_away(job, str(error))}", at) from error
         except BaseException:
             shutil.rmtree(job, ignore_errors=True)
             raise
@@ -131,15 +130,19 @@ class Program:
         return self._server
 
     def _put_away(self, job: Path, words: str) -> str:
-        """Keep or remove the job of a failure; gives its ``words`` with the place where the job is now."""
-        if not self._keep:
+        """Keep or remove the job of a failure; gives its ``words``, and the program's, with the place where the job is now."""
+        place = ""
+        if self._keep and job.is_dir():
+            if self.kept_job is not None:
+                shutil.rmtree(self.kept_job, ignore_errors=True)
+            in_memory = job.parent == MEMORY  # which is not for what stays
+            self.kept_job = Path(shutil.move(job, tempfile.gettempdir())) if in_memory else job
+            place = f"{self.kept_job}{os.sep}"
+            words += f"; its job is kept: {self.kept_job}"
+        else:
             shutil.rmtree(job, ignore_errors=True)
-            return words.replace(f"{job}{os.sep}", "")
-        if self.kept_job is not None:
-            shutil.rmtree(self.kept_job, ignore_errors=True)
-        in_memory = job.parent == MEMORY  # which is not for what stays
-        self.kept_job = Path(shutil.move(job, tempfile.gettempdir())) if in_memory else job
-        return f"{words.replace(str(job), str(self.kept_job))}; its job is kept: {self.kept_job}"
+        last_words = f"\n{self.stderr}" if self.stderr else ""
+        return f"{words}{last_words}".replace(f"{job}{os.sep}", place)
 
 
 def place_for(cases: Sequence[Case]) -> Path | None:

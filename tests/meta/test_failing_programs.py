@@ -29,7 +29,7 @@ def answer(job):
     for case in sorted(Path(job).glob("[0-9]*")):
         stage = (case / "stage").read_text().strip()
         if stage in {stages!r}:
-            print("no such device", file=sys.stderr, flush=True)
+            print("no such device:", case, file=sys.stderr, flush=True)
             {fault}
         elif stage == "rrm":
             rrm(case)
@@ -75,6 +75,7 @@ def test_a_stage_that_fails_at_once_has_a_folder_and_a_replay(judged, tmp_path, 
     assert done.exit_code == 1, done.output
     (folder,) = (Path(line.split(" --replay ")[1]) for line in done.output.splitlines() if " --replay " in line)
     assert words in done.output
+    assert "no such device: 0000" in done.output
     assert words in (folder / "README.txt").read_text()
     again = judged(fault, ["rrm"], "--replay", str(folder), serves=serves)
     assert again.exit_code == 1

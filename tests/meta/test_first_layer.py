@@ -69,14 +69,15 @@ def test_what_the_network_is_given_comes_first():
 
 def test_what_lies_behind_all_layers_is_not_one_of_them():
     """The decoder's base upsampled on the wrong grid: every layer is right."""
-    assert words(find("decoder_base_by_corners").port()) == "none of the 35 layers that the port returns departs"
+    assert words(find("decoder_base_by_corners").port()) == (
+        "none of the 35 layers that the port returns departs, so what comes after outc does"
+    )
 
 
 @pytest.mark.parametrize(
     ("stage", "layers", "message"),
     [
-        ("encoder", dict, ""),
-        ("network", dict, "the port returns no layers"),
+        ("encoder", dict, "the port returns no layers"),
         (
             "network",
             lambda: {"conv1": np.zeros((1, 1, 24), np.float32)},
@@ -89,7 +90,6 @@ def test_layers_that_lack_or_are_wrong(stage, layers, message):
     port = Mangled("conv1")
     port.layers = lambda *_: layers()
     assert words(port, stage).startswith(message)
-    assert message or not words(port, stage)
 
 
 def test_the_judge_says_it(monkeypatch):
