@@ -176,7 +176,9 @@ def sequence_samples(low: Path, high: Path, reading: SequenceOptions, hole_fill:
     window: list[DisplayFrame] = []
     for number in sequence.numbers:
         if number not in sequence.rendered:
-            raise InputError(f"{low}: frame {number} has no colour; training needs the colour of every frame")
+            raise InputError(
+                f"{low}: frame {number} has no colour; expected the colour of every frame, from which training takes both halves"
+            )
         if window and number != window[-1].number + 1:
             window.clear()
         window = [*window[1 - WINDOW :], prepare(sequence.load(number), curve, usual.depth)]
@@ -245,18 +247,17 @@ def write(
     return len(rows)
 
 
-def write_film(seed: int, inputs: str, size: tuple[int, int], hole_fill: HoleFill, out: Path) -> str:
-    """Write the shard of the analytic film number ``seed``, unless it exists in this size and fill. Returns a line to print."""
+def write_film(seed: int, inputs: str, size: tuple[int, int], hole_fill: HoleFill, split: str | None, out: Path) -> str:
+    """Write the shard of the analytic film number ``seed``, unless it exists in this size, fill and split. Returns a line to print."""
     film = random_film(seed, inputs)
     scene, name = film.scene.name, f"{film.scene.name}-{inputs}"
+    split = split or split_of(scene)
     if (index := out / name / "index.json").exists():
-        fill, shape = (
-            json.loads(index.read_text()).get("hole_fill", HOLE_FILLS[0]),
-            np.load(out / name / "inputs.npy", mmap_mode="r").shape,
-        )
-        if (fill, shape[1:3]) == (hole_fill, size):
+        there = json.loads(index.read_text())
+        shape = np.load(out / name / "inputs.npy", mmap_mode="r").shape
+        if (there.get("hole_fill", HOLE_FILLS[0]), there["split"], shape[1:3]) == (hole_fill, split, size):
             return f"{name}: there"
-    return f"{name}: {write(out / name, scene, split_of(scene), hole_fill, film_samples(film, size, hole_fill))} samples"
+    return f"{name}: {write(out / name, scene, split, hole_fill, film_samples(film, size, hole_fill))} samples"
 
 
 @click.command(cls=Subcommand, help=__doc__.splitlines()[0] if __doc__ else None)
@@ -295,7 +296,6 @@ def make(
     reading: SequenceOptions,
 ) -> None:
     """``python -m training.samples``."""
-    out.mkdir(parents=True, exist_ok=True)
     if sequence:
         low, high = sequence
         name = name or low.resolve().parent.name
@@ -305,7 +305,7 @@ def make(
         film = sequence_samples(low, high, reading, hole_fill)
         echo(f"{name}: {write(out / name, scene, split or split_of(scene), hole_fill, film, [low, high])} samples")
     if analytic:
-        work = partial(write_film, inputs=inputs, size=size, hole_fill=hole_fill, out=out)
+        work = partial(write_film, inputs=inputs, size=size, hole_fill=hole_fill, split=split, out=out)
         with ProcessPoolExecutor(jobs) as pool:
             for line in pool.map(work, range(first, first + analytic)):
                 echo(line)

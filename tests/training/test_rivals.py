@@ -1,6 +1,5 @@
 """The paper's rivals: their inputs, a step of training, and frames in a folder."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -31,9 +30,7 @@ SIZE = (24, 32)
 @pytest.fixture(scope="module")
 def data(tmp_path_factory):
     folder = tmp_path_factory.mktemp("films")
-    write_film(1, "aliased", SIZE, "occlusion_warp", folder / "films")
-    index = folder / "films" / "analytic-00001-aliased" / "index.json"
-    index.write_text(json.dumps(json.loads(index.read_text()) | {"split": "training"}))
+    write_film(1, "aliased", SIZE, "occlusion_warp", "training", folder / "films")
     samples.main([str(folder / "films"), "-o", str(folder / "five")])
     return folder / "five"
 

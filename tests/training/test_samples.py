@@ -195,13 +195,28 @@ def test_a_shard_is_whole_or_not_there(tmp_path):
     assert [path.name for path in tmp_path.iterdir() if not path.name.startswith(".")] == ["one"]
 
 
-def test_a_film_of_another_fill_or_size_is_made_again(tmp_path, capsys):
+def test_a_film_of_another_fill_size_or_split_is_made_again(tmp_path, capsys):
     words = ["-o", str(tmp_path), "--analytic", "1", "--size", "32x24", "--hole-fill"]
-    for fill, count in (("occlusion_warp", "8 samples"), ("occlusion_warp", "there"), ("reshade", "8 samples")):
-        module.main([*words, fill])
+    for more, count in (
+        (["occlusion_warp"], "8 samples"), (["occlusion_warp"], "there"), (["reshade"], "8 samples"),
+        (["reshade", "--size", "24x32"], "8 samples"), (["reshade", "--size", "24x32", "--split", "test"], "8 samples"),
+    ):  # fmt: skip
+        module.main([*words, *more])
         assert capsys.readouterr().out.endswith(f": {count}\n")
-    module.main([*words, "reshade", "--size", "24x32"])
-    assert capsys.readouterr().out.endswith(": 8 samples\n")
+    assert json.loads((tmp_path / "analytic-00000-aliased" / "index.json").read_text())["split"] == "test"
+
+
+def test_frames_rendered_at_half_rate_are_refused_and_nothing_is_left(tmp_path):
+    """Such as those of ``stss demo``, the first that a user has."""
+    low, high = tmp_path / "lr", tmp_path / "hr"
+    low.mkdir()
+    high.mkdir()
+    write_rgb(high / "a.0000.exr", np.ones((16, 16, 3), np.float32))
+    for number in range(4):
+        write_channels(low / f"a.{number:04d}.exr", frame_channels(number, (8, 8), number % 2 == 0))
+    with pytest.raises(InputError, match=r"lr: frame 1 has no colour; expected the colour of every frame"):
+        module.main(["-o", str(tmp_path / "out"), "--sequence", str(low), str(high), "--split", "training"])
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_shard_replaces_nothing_else(tmp_path):
