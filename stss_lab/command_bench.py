@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import sys
+from itertools import product
 from pathlib import Path
 
 import click
@@ -12,6 +13,7 @@ from stss.cli.options import MAX_COUNT
 from stss.images.headers import MAX_SIDE
 from stss.weights.file import identity, load
 from stss_ground.commands import Subcommand
+from stss_ground.errors import InputError
 from stss_ground.option_kinds import Names, ReadName, Size, WrittenFile, WrittenFolder
 from stss_ground.output.write_whole import write_named
 from stss_ground.progress import show_steps
@@ -48,6 +50,11 @@ from stss_ground.terminal import Terminal, echo
 @click.option("--device", help="Part of the name of the OpenCL device.")
 @click.option("--json", "json_file", type=WrittenFile(), help="File for all times, the versions and the machine.")
 @click.option(
+    "--launches",
+    is_flag=True,
+    help="Time each launch of the network instead, by the device's clock, beside its work: --ours alone.",
+)
+@click.option(
     "--pareto", is_flag=True, help="Measure time against error instead: every precision and skip mode, on the canonical scenes."
 )
 @click.option("--scenes", type=Names(), help="With --pareto: the canonical scenes to run  [default: all]")
@@ -68,6 +75,7 @@ def bench_command(
     dark: bool,
     device: str | None,
     json_file: Path | None,
+    launches: bool,
     pareto: bool,
     scenes: tuple[str, ...] | None,
     settings: tuple[str, ...] | None,
@@ -85,6 +93,18 @@ def bench_command(
     threads = available_threads()
     console = Terminal(stderr=True)
     setups = [Setup(tensors, *size, device=device, threads=threads, dark=dark) for size in sizes]
+    if launches and pareto:
+        raise InputError("--launches and --pareto: expected one of them")
+    if launches:
+        from stss_lab.bench import launches as bench_launches
+
+        tables: list[bench_launches.LaunchTimings] = []
+        for setup, name in product(setups, ours):
+            tables.append(bench_launches.time_launches(setup, name, repeat))
+            bench_launches.print_launches(tables[-1], Terminal())
+        if json_file is not None:
+            write_named(json_file, bench_launches.to_json(tables, identity(tensors)))
+        return
     if pareto:
         from stss_lab.bench import pareto as bench_pareto
 

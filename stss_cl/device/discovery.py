@@ -280,29 +280,32 @@ def matching(name: str | None) -> dict[str, cl.Device]:
     raise DeviceError(f"device {name!r}: expected part of one of {', '.join(devices)}")
 
 
-def open_device(name: str | None = None, device_class: str | None = None) -> Device:
+def open_device(name: str | None = None, device_class: str | None = None, *, timed: bool = False) -> Device:
     """Open the device whose ``platform: device`` contains ``name``, ignoring case.
 
     Args:
         name: part of the name; None: ``$STSS_DEVICE``, or else the first GPU, or else the first device.
         device_class: see ``Properties``.
+        timed: its events tell when commands began and ended.
 
     Raises:
         DeviceError: there is none, or it cannot be opened.
     """
     fitting = list(matching(os.environ.get("STSS_DEVICE") if name is None else name).values())
-    return open_handle(next(filter(is_gpu, fitting), fitting[0]), device_class)
+    return open_handle(next(filter(is_gpu, fitting), fitting[0]), device_class, timed=timed)
 
 
-def open_handle(handle: cl.Device, device_class: str | None = None) -> Device:
-    """Open a device of ``find_devices()``; ``device_class``: see ``Properties``.
+def open_handle(handle: cl.Device, device_class: str | None = None, *, timed: bool = False) -> Device:
+    """Open a device of ``find_devices()``; arguments as of ``open_device``.
 
     Raises:
         DeviceError: the driver refuses.
     """
     try:
         context = cl.Context([handle])
-        return Device(handle, context, cl.CommandQueue(context), device_class)
+        properties = cl.command_queue_properties.PROFILING_ENABLE
+        queue = cl.CommandQueue(context, properties=properties) if timed else cl.CommandQueue(context)
+        return Device(handle, context, queue, device_class)
     except cl.Error as error:
         raise DeviceError(f"device {full_name(handle)}: cannot be opened: {_one_line(str(error))}") from None
 

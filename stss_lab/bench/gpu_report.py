@@ -38,7 +38,7 @@ TESTS = tuple(
 
 OURS = "cl,cl-direct,cl-half,cl-host,cl-frame,cl-stream,cl-stream-ahead"
 PEERS = (
-    ",".join(f"pytorch-cuda{n}{c}" for n in ("", "-float32") for c in ("", "-compiled"))
+    ",".join(f"pytorch-cuda{n}{c}" for n in ("", "-float32", "-tf32") for c in ("", "-compiled"))
     + ",onnxruntime-cuda,onnxruntime-tensorrt"
 )
 
@@ -118,6 +118,7 @@ def steps(folder: Path, device: str, *, tiny: bool) -> list[Step]:
             ),
             300,
         ),
+        Step("launches", (*stss, "bench", "--launches", *here, "--repeat", few, "--ours", "cl,cl-half"), 60),
         Step("tune", (*stss, "tune", *here), 120),
         Step(
             "pareto",

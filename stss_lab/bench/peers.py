@@ -26,8 +26,9 @@ class PyTorch(Peer):
     Args:
         setup: weights, size and threads.
         cuda: run on the first CUDA GPU; else on the CPU.
-        half: compute in half precision; else in float32, without the tensor cores' TF32.
-        compiled: use ``torch.compile``.
+        half: compute in half precision; else in float32.
+        tf32: in float32 the tensor cores may round to TF32, which is PyTorch's default for convolutions.
+        compiled: use ``torch.compile``; on a GPU with CUDA graphs but without its search, which did not end within two minutes on an H200.
     """
 
     def __init__(
@@ -36,6 +37,7 @@ class PyTorch(Peer):
         *,
         cuda: bool = False,
         half: bool = False,
+        tf32: bool = False,
         compiled: bool = False,
     ):
         super().__init__(setup)
@@ -45,11 +47,14 @@ class PyTorch(Peer):
         torch.set_num_threads(setup.threads)
         self._options: dict[str, Any] = {"device": "cuda" if cuda else "cpu", "dtype": torch.float16 if half else torch.float32}
         self._cuda = cuda
+        torch.backends.cudnn.benchmark = cuda  # the fastest of its convolutions, by a trial of each
+        torch.backends.cudnn.allow_tf32 = torch.backends.cuda.matmul.allow_tf32 = tf32
         network = TorchNetwork(setup.weights, **self._options)
-        self._network: Any = torch.compile(network.__call__, mode="max-autotune") if compiled else network
+        mode = "reduce-overhead" if cuda else "max-autotune"
+        self._network: Any = torch.compile(network.__call__, mode=mode) if compiled else network
         self.details = {
             **versions(("torch",)),
-            "precision": "float16" if half else "float32",
+            "precision": "float16" if half else "TF32" if tf32 else "float32",
             "layout": "channels_last",
             "formulation": "gates merged, window as slices",
         }
@@ -263,6 +268,8 @@ PEERS: dict[str, Callable[[Setup], Peer]] = {
     "pytorch-cuda-compiled": partial(PyTorch, cuda=True, half=True, compiled=True),
     "pytorch-cuda-float32": partial(PyTorch, cuda=True),
     "pytorch-cuda-float32-compiled": partial(PyTorch, cuda=True, compiled=True),
+    "pytorch-cuda-tf32": partial(PyTorch, cuda=True, tf32=True),
+    "pytorch-cuda-tf32-compiled": partial(PyTorch, cuda=True, tf32=True, compiled=True),
     "onnxruntime-cuda": partial(OnnxRuntime, provider="CUDA"),
     "onnxruntime-tensorrt": partial(OnnxRuntime, provider="Tensorrt"),
 }

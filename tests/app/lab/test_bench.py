@@ -11,7 +11,7 @@ import pytest
 from rich.console import Console
 
 from stss_ground.errors import InputError
-from stss_lab.bench import measure
+from stss_lab.bench import launches, measure
 from stss_lab.bench import report as bench_report
 from stss_lab.bench.contender import Setup
 from stss_lab.bench.measure import SUMMARY, SizeResult, Timing, bench
@@ -155,3 +155,22 @@ def test_the_time_of_a_run_is_that_of_one_of_its_frames(monkeypatch):
     wall, used = messages[1][1]
     assert 0.001 <= wall < 0.05
     assert used < 0.5 * wall  # it sleeps: processor time is its own
+
+
+def test_launches_have_times_and_work():
+    timings = launches.time_launches(setup(16, 24), "cl", repeat=2)
+    names = [each.name for each in timings.launches]
+    assert names[0] == "conv1"
+    assert all(len(each.seconds) == 2 and min(each.seconds) > 0 < each.bytes for each in timings.launches)
+    assert timings.launches[0].products == 9 * 24 * 24 * 16 * 24  # 21 channels are three eights
+    console = Console(width=100, record=True, file=io.StringIO())
+    launches.print_launches(timings, console)
+    assert f"all{' ' * 8}" in (text := console.export_text())
+    assert f"{16 * 24 * 9 * 24 * 24 * 1e-9:.2f}" in text
+    data = json.loads(launches.to_json([timings], "weights"))
+    assert [row["name"] for row in data["tables"][0]["launches"]] == names
+
+
+def test_launches_are_of_a_network():
+    with pytest.raises(InputError, match=r"--launches: expected --ours of cl, cl-direct, .*, got 'cl-frame'"):
+        launches.time_launches(setup(), "cl-frame", repeat=1)
