@@ -3,23 +3,23 @@
 // a tile of the input and its weights into local memory; a work-item holds eight outputs of 4 x ROWS pixels in
 // registers. Buffers and weights as in conv.cl.
 //
-// Build -D A -D B -D OUT (multiples of 8; A may be 4 where not GATED) -D STRIDE -D ROWS (1 or 2: pixels of a work-item,
-// one above the other), optionally -D GATED -D RELU -D STORED -D MARK (change_map.clh).  Work-group (8, 4, OUT / 8): 32
-// x 4 ROWS pixels, a tile of the list (tile_list.clh); launch (8 tiles, 4, OUT / 8).
+// Build -D A -D B -D OUT (multiples of 8; A may be 4 where not GATED) -D SLICES (eights of outputs of a work-group) -D
+// STRIDE -D ROWS (1 or 2: pixels of a work-item, one above the other), optionally -D GATED -D RELU -D STORED -D MARK
+// (change_map.clh).  Work-group (8, 4, SLICES): 32 x 4 ROWS pixels, a tile of the list (tile_list.clh); launch (8
+// tiles, 4, OUT / 8).
 // -D IMAGES: several one behind the other, and the list's rows likewise (layer.clh).
 //
 // 32 neighbouring work-items form 8 x 4 and compute the same eight outputs: their weights are a broadcast, and their
 // inputs are 128 bytes in a row. The tile takes CHUNK channels at a time, one plane each; at stride 2 even columns lie
 // before odd ones.
-#if !defined(A) || !defined(B) || !defined(OUT) || !defined(STRIDE) || !defined(ROWS)
-#error "conv_local.cl needs -D A, B, OUT, STRIDE, ROWS"
+#if !defined(A) || !defined(B) || !defined(OUT) || !defined(SLICES) || !defined(STRIDE) || !defined(ROWS)
+#error "conv_local.cl needs -D A, B, OUT, SLICES, STRIDE, ROWS"
 #endif
 #include "common.clh"
 #include "tile_list.clh"
 #include "layer.clh"
 
 #define IN (A + B)
-#define SLICES (OUT / 8)
 #define WIDE 32
 #define TALL (4 * ROWS)
 #define CHUNK (STRIDE == 2 || A == 4 ? 4 : 8)
@@ -27,7 +27,7 @@
 #define READ_TALL (STRIDE * (TALL - 1) + 3)
 #define PITCH (36 * STRIDE)  // floats of a row of the tile: whole float4s
 #define PLANE ((PITCH * READ_TALL + 7) / 8 * 8 + 4)  // so neighbouring planes begin in different banks
-#define QUADS (CHUNK * OUT / 4)  // groups of four weights of a tap
+#define QUADS (2 * CHUNK * SLICES)  // groups of four weights of a tap
 #define ITEMS (32 * SLICES)
 #define TILE_FLOATS (CHUNK * PLANE)
 #define PIXELS (4 * ROWS)
@@ -99,9 +99,10 @@ kernel __attribute__((reqd_work_group_size(8, 4, SLICES))) void conv_local(
     global uchar *restrict changes)
 {
     local float tile[TILE_FLOATS] __attribute__((aligned(16)));
-    local float taps[9 * CHUNK * OUT] __attribute__((aligned(32)));
+    local float taps[9 * CHUNK * 8 * SLICES] __attribute__((aligned(32)));
     local float gates[9 * CHUNK];
     const int lx = get_local_id(0), ly = get_local_id(1), slice = get_local_id(2), item = (slice * 4 + ly) * 8 + lx;
+    const int eight = get_global_id(2), from_quad = 2 * SLICES * get_group_id(2);
     const int in_rows = (STRIDE * layer.height + 3) / 4 * 4 + 2;
     a += layer.a_first;
 
@@ -120,7 +121,7 @@ kernel __attribute__((reqd_work_group_size(8, 4, SLICES))) void conv_local(
         float8 sum[PIXELS];
         float gate[8];
 #pragma unroll
-        for (int i = 0; i < PIXELS; ++i) sum[i] = bias[slice];
+        for (int i = 0; i < PIXELS; ++i) sum[i] = bias[eight];
 #pragma unroll
         for (int i = 0; i < 8; ++i) gate[i] = 0.0f;
 
@@ -129,7 +130,8 @@ kernel __attribute__((reqd_work_group_size(8, 4, SLICES))) void conv_local(
             fetch_floats(from_a, b, tile, item, first, STRIDE * up, STRIDE * left, in_rows, layer.in_columns);
             for (int i = item; i < 9 * QUADS; i += ITEMS)
                 ((local float4 *)taps)[i] =
-                    ((global const float4 *)weight)[(i / QUADS * IN + first) * (OUT / 4) + i % QUADS];
+                    ((global const float4 *)weight)[(i / QUADS * IN + first + i % QUADS / (2 * SLICES)) * (OUT / 4) +
+                                                    from_quad + i % (2 * SLICES)];
 #ifdef GATED
             for (int i = item; i < 9 * CHUNK; i += ITEMS) gates[i] = gate_weight[i / CHUNK * IN + first + i % CHUNK];
 #endif
@@ -146,7 +148,7 @@ kernel __attribute__((reqd_work_group_size(8, 4, SLICES))) void conv_local(
 #pragma unroll
                     for (int tap = 0; tap < TAPS_AT_ONCE; ++tap) {
                         const float8 w =
-                            *(local const float8 *)(taps + ((first_tap + tap) * CHUNK + c) * OUT + 8 * slice);
+                            *(local const float8 *)(taps + (((first_tap + tap) * CHUNK + c) * SLICES + slice) * 8);
 #pragma unroll
                         for (int i = 0; i < PIXELS; ++i) sum[i] += w * INPUT(tap, i);
                     }
@@ -193,7 +195,7 @@ kernel __attribute__((reqd_work_group_size(8, 4, SLICES))) void conv_local(
 #ifdef RELU
             value = relu8(value);
 #endif
-            PUT(value, ((y + 1) * layer.out_columns + x + 1) * (layer.out_channels / 8) + layer.out_first / 8 + slice,
+            PUT(value, ((y + 1) * layer.out_columns + x + 1) * (layer.out_channels / 8) + layer.out_first / 8 + eight,
                 to);
 #ifdef IMAGES
             END_PIXEL(which * layer.map_next + y * (layer.out_columns - 2) + x);

@@ -9,15 +9,16 @@
 //  gate_weight       not read
 //
 // Build -D STORED=HALF -D A -D B -D OUT -D OUTPUTS (outputs of a work-group) -D EIGHTS_AT_ONCE (of channels at once, a
-// divisor of (A + B) / 8) -D STRIDE -D ROWS (1 or 2), all channels multiples of 8; optionally -D EMULATE (mma.clh) -D
+// divisor of all) -D STRIDE -D ROWS (1 or 2), all channels multiples of 8, or A is 4 and B 0; optionally -D EMULATE (mma.clh) -D
 // GATED -D RELU -D MARK (change_map.clh).
 // -D IMAGES: see conv_local.cl.
-// Work-group (LANES, WAVES): 32 x 4 ROWS pixels, a tile of the list; launch (LANES tiles, WAVES OUT / OUTPUTS).
+// Work-group (LANES, WAVES): 32 x 4 ROWS pixels, a tile of the list; launch (LANES groups, WAVES OUT / OUTPUTS): a
+// group computes some tiles, and copies its weights into local memory once if all channels fit at once.
 //
-// LANES work-items, a wave, multiply UNIT pixels x 16 channels by 16 channels x some outputs at once (mma.clh), for two
-// such units beside each other in ROWS rows. A work-item has EACH outputs of a block, one behind the other, and with
-// GATED the gate behind them. The inner dimension runs over eights within taps within chunks; at stride 2 even columns
-// lie before odd ones.
+// LANES work-items, a wave, multiply UNIT pixels x 16 channels by 16 channels x 8 outputs at once (mma.clh), for two
+// such units beside each other in ROWS rows. A matrix of weights has eight outputs in a row; with GATED the last one
+// has the gate for each part. The inner dimension runs over eights within taps within chunks; at stride 2 even columns
+// lie before odd ones. Results go through local memory, so that neighbours store 16 bytes each in a row.
 #if !defined(A) || !defined(B) || !defined(OUT) || !defined(OUTPUTS) || !defined(EIGHTS_AT_ONCE) || \
     !defined(STRIDE) || !defined(ROWS)
 #error "conv_mma.cl needs -D A, B, OUT, OUTPUTS, EIGHTS_AT_ONCE, STRIDE, ROWS"
@@ -27,19 +28,26 @@
 #include "layer.clh"
 #include "mma.clh"
 
-#define CHUNKS ((A + B) / 8 / EIGHTS_AT_ONCE)
+#define ITEMS (LANES * WAVES)
+#define CHUNKS ((A + B + 7) / 8 / EIGHTS_AT_ONCE)
 #define STEPS ((9 * EIGHTS_AT_ONCE + 1) / 2)
-#define EACH (OUTPUTS / PARTS)
+#define EIGHTS (OUTPUTS / 8)
 #ifdef GATED
-#define MATRICES (EACH / HELD + 1)
+#define MATRICES (EIGHTS + 1)
 #else
-#define MATRICES (EACH / HELD)
+#define MATRICES EIGHTS
 #endif
 #define READ_WIDE (STRIDE * 31 + 3)
 #define READ_TALL (STRIDE * (4 * ROWS - 1) + 3)
 #define PITCH (34 * STRIDE)
 #define PLANE (PITCH * READ_TALL + 2)  // places of 16 bytes
 #define COLUMN(x) (STRIDE == 2 ? (x) % 2 * 34 + (x) / 2 : (x))
+#define PIXELS (32 * 4 * ROWS)
+#define RESULT_PLANE (PIXELS + (7 + EIGHTS) / EIGHTS)  // so what neighbours store lies in different banks
+#define MOST(a, b) ((a) > (b) ? (a) : (b))
+// Loads of a work-item, and those before it stores the first of them: all, or equal parts.
+#define LOADS ((EIGHTS_AT_ONCE * READ_WIDE * READ_TALL + ITEMS - 1) / ITEMS)
+#define AT_ONCE ((LOADS + (LOADS + 7) / 8 - 1) / ((LOADS + 7) / 8))
 // Offset of step j's place from the first tap's, in places.
 #define TAP_AT(j) ((j) % EIGHTS_AT_ONCE * PLANE + (j) / EIGHTS_AT_ONCE / 3 * PITCH + COLUMN((j) / EIGHTS_AT_ONCE % 3))
 
@@ -47,33 +55,41 @@
 static inline void fetch_eights(global const ushort *a, global const ushort *b, local uint4 *tile, const int item,
                                 const int first, const int top, const int left, const int in_rows, const int in_columns)
 {
-    for (int i = item; i < EIGHTS_AT_ONCE * READ_WIDE * READ_TALL; i += LANES * WAVES) {
-        const int e = i % EIGHTS_AT_ONCE, x = i / EIGHTS_AT_ONCE % READ_WIDE, y = i / EIGHTS_AT_ONCE / READ_WIDE,
-                  eight = first + e;
-        const int place = least(top + y, in_rows - 1) * in_columns + least(left + x, in_columns - 1);
-        tile[e * PLANE + y * PITCH + COLUMN(x)] = eight < A / 8
-                                                      ? ((global const uint4 *)a)[place * (A / 8) + eight]
-                                                      : ((global const uint4 *)b)[place * (B / 8) + eight - A / 8];
+    const int count = EIGHTS_AT_ONCE * READ_WIDE * READ_TALL;
+    for (int begin = item; begin < count; begin += AT_ONCE * ITEMS) {
+        uint4 held[AT_ONCE];
+        UNROLL
+        for (int k = 0; k < AT_ONCE; ++k) {
+            const int i = least(begin + k * ITEMS, count - 1), eight = first + i % EIGHTS_AT_ONCE;
+            const int x = i / EIGHTS_AT_ONCE % READ_WIDE, y = i / EIGHTS_AT_ONCE / READ_WIDE;
+            const int place = least(top + y, in_rows - 1) * in_columns + least(left + x, in_columns - 1);
+#if A == 4
+            held[k] = (uint4)(((global const uint2 *)a)[place], 0, 0);
+#else
+            held[k] = eight < A / 8 ? ((global const uint4 *)a)[place * (A / 8) + eight]
+                                    : ((global const uint4 *)b)[place * (B / 8) + eight - A / 8];
+#endif
+        }
+        UNROLL
+        for (int k = 0; k < AT_ONCE; ++k) {
+            const int i = begin + k * ITEMS;
+            const int x = i / EIGHTS_AT_ONCE % READ_WIDE, y = i / EIGHTS_AT_ONCE / READ_WIDE;
+            if (i < count) tile[i % EIGHTS_AT_ONCE * PLANE + y * PITCH + COLUMN(x)] = held[k];
+        }
     }
 }
 
-// The initial sums of a work-item's product n; `bias` is that of its outputs.
-static inline float4 begin(global const float *bias, const float gate_bias, const int n)
+// The initial sums of a work-item's product n; `bias` is that of the group's outputs.
+static inline float4 begin(global const float *bias, const float gate_bias, const int n, const int lane)
 {
-    const float2 v = 2 * n < EACH ? vload2(n, bias) : (float2)(gate_bias);
+    const float2 v = n < EIGHTS ? vload2(4 * n + PART(lane), bias) : (float2)(gate_bias);
     return (float4)(v, v);
 }
 
-// The gate of a work-item's k-th pixel: the value after its outputs.
+// The gate of a work-item's k-th pixel: the first value of its part.
 static inline float opening(const float4 sum, const int k)
 {
     return 1.0f / (1.0f + exp(-(k ? sum.z : sum.x)));
-}
-
-static inline void put(const uint after, global ushort *to, global uchar *changed, const bool compares)
-{
-    if (compares && *(global const uint *)to != after) *changed = 1;
-    *(global uint *)to = after;
 }
 
 kernel __attribute__((reqd_work_group_size(LANES, WAVES, 1))) void conv_mma(
@@ -82,10 +98,10 @@ kernel __attribute__((reqd_work_group_size(LANES, WAVES, 1))) void conv_mma(
     global ushort *restrict out, const Layer layer, global const uint *restrict tiles, global const int *restrict count,
     global uchar *restrict changes)
 {
-    local uint4 tile[EIGHTS_AT_ONCE * PLANE];
+    local uint4 tile[MOST(EIGHTS_AT_ONCE * PLANE, EIGHTS * RESULT_PLANE)];
+    local uint4 matrices[STEPS * MATRICES * MATRIX / 4];
     EXCHANGE(exchange);
-    const int lane = get_local_id(0), wave = get_local_id(1), block = get_group_id(1),
-              from_output = block * OUTPUTS + EACH * PART(lane);
+    const int lane = get_local_id(0), wave = get_local_id(1), item = wave * LANES + lane, block = get_group_id(1);
     const int in_rows = (STRIDE * layer.height + 3) / 4 * 4 + 2;
     // The wave's first pixel in the tile.
     const int across = wave % (WAVES / 4) * 2 * UNIT, down = wave / (WAVES / 4) * ROWS;
@@ -94,31 +110,32 @@ kernel __attribute__((reqd_work_group_size(LANES, WAVES, 1))) void conv_mma(
 
     for (int t = get_group_id(0); t < count[0]; t += get_num_groups(0)) {
 #ifdef IMAGES
-        const int which = TILE_ROW(tiles[t]) / layer.tile_rows,
-                  top = (TILE_ROW(tiles[t]) - which * layer.tile_rows) * 4 * ROWS;
+        const int which = TILE_ROW(tiles[t]) / layer.tile_rows;
+#else
+        const int which = 0;
+#endif
         global const ushort *from_a = a + which * layer.a_next;
         global ushort *to = out + which * layer.out_next;
-        global uchar *marks = changes + which * layer.map_next;
-#else
-        const int top = TILE_ROW(tiles[t]) * 4 * ROWS;
-        global const ushort *from_a = a;
-        global ushort *to = out;
-        global uchar *marks = changes;
-#endif
+        const int top = (TILE_ROW(tiles[t]) - which * layer.tile_rows) * 4 * ROWS;
         const int left = TILE_COLUMN(tiles[t]) * 32;
         float4 sum[2 * ROWS][MATRICES];  // for pixels UNIT (i % 2) .. of row i / 2
         UNROLL
         for (int n = 0; n < MATRICES; ++n) {
-            const float4 v = begin(bias + from_output, gate_bias, n);
+            const float4 v = begin(bias + block * OUTPUTS, gate_bias, n, lane);
             UNROLL
             for (int i = 0; i < 2 * ROWS; ++i) sum[i][n] = v;
         }
         for (int chunk = 0; chunk < CHUNKS; ++chunk) {
             barrier(CLK_LOCAL_MEM_FENCE);
-            fetch_eights(from_a, b, tile, wave * LANES + lane, chunk * EIGHTS_AT_ONCE, STRIDE * top, STRIDE * left,
-                         in_rows, layer.in_columns);
+            if (CHUNKS > 1 || t == (int)get_group_id(0)) {
+                global const uint4 *from =
+                    (global const uint4 *)weight + (block * CHUNKS + chunk) * STEPS * MATRICES * MATRIX / 4;
+#pragma unroll 4
+                for (int i = item; i < STEPS * MATRICES * MATRIX / 4; i += ITEMS) matrices[i] = from[i];
+            }
+            fetch_eights(from_a, b, tile, item, chunk * EIGHTS_AT_ONCE, STRIDE * top, STRIDE * left, in_rows,
+                         layer.in_columns);
             barrier(CLK_LOCAL_MEM_FENCE);
-            global const uint *matrices = weight + (block * CHUNKS + chunk) * STEPS * MATRICES * MATRIX;
             UNROLL
             for (int step = 0; step < STEPS; ++step) {
                 // The last eight may have no partner: the other half has weights of 0.
@@ -126,7 +143,8 @@ kernel __attribute__((reqd_work_group_size(LANES, WAVES, 1))) void conv_mma(
                           then = TAP_AT(2 * step + 1 < 9 * EIGHTS_AT_ONCE ? 2 * step + 1 : 2 * step);
                 uint2 w[MATRICES];
                 UNROLL
-                for (int n = 0; n < MATRICES; ++n) w[n] = read_weights(matrices + (step * MATRICES + n) * MATRIX, lane);
+                for (int n = 0; n < MATRICES; ++n)
+                    w[n] = read_weights((local const uint *)matrices + (step * MATRICES + n) * MATRIX, lane);
                 UNROLL
                 for (int i = 0; i < 2 * ROWS; ++i) {
                     local const uint4 *p = under + STRIDE * (i / 2) * PITCH + i % 2 * UNIT;
@@ -136,18 +154,15 @@ kernel __attribute__((reqd_work_group_size(LANES, WAVES, 1))) void conv_mma(
                 }
             }
         }
+        barrier(CLK_LOCAL_MEM_FENCE);
         UNROLL
         for (int i = 0; i < 2 * ROWS * ITS; ++i) {
-            const int x = left + across + i / ITS % 2 * UNIT + PIXEL(lane, i % ITS), y = top + down + i / ITS / 2;
-            if (x >= layer.width || y >= layer.height) continue;
-            const int place =
-                ((y + 1) * layer.out_columns + x + 1) * layer.out_channels + layer.out_first + from_output;
-            global uchar *mark = marks + y * (layer.out_columns - 2) + x;
+            const int pixel = (down + i / ITS / 2) * 32 + across + i / ITS % 2 * UNIT + PIXEL(lane, i % ITS);
 #ifdef GATED
-            const float open = opening(sum[i / ITS][EACH / HELD], i % ITS);
+            const float open = opening(sum[i / ITS][EIGHTS], i % ITS);
 #endif
             UNROLL
-            for (int n = 0; n * HELD < EACH; ++n) {
+            for (int n = 0; n < EIGHTS; ++n) {
                 float2 value = OF_PIXEL(sum[i / ITS][n], i % ITS);
 #ifdef GATED
                 value *= open;
@@ -155,8 +170,19 @@ kernel __attribute__((reqd_work_group_size(LANES, WAVES, 1))) void conv_mma(
 #ifdef RELU
                 value = fmax(value, 0.0f);
 #endif
-                put(as_uint(narrow(value)), to + place + HELD * n, mark, MARKS(changes));
+                ((local uint *)(tile + n * RESULT_PLANE + pixel))[PART(lane)] = as_uint(narrow(value));
             }
+        }
+        barrier(CLK_LOCAL_MEM_FENCE);
+        for (int i = item; i < EIGHTS * PIXELS; i += ITEMS) {
+            const int n = i % EIGHTS, pixel = i / EIGHTS, x = left + pixel % 32, y = top + pixel / 32;
+            if (x >= layer.width || y >= layer.height) continue;
+            BEGIN_PIXEL;
+            PUT_STORED8(as_ushort8(tile[n * RESULT_PLANE + pixel]),
+                        ((y + 1) * layer.out_columns + x + 1) * (layer.out_channels / 8) + layer.out_first / 8 +
+                            block * EIGHTS + n,
+                        to);
+            END_PIXEL(which * layer.map_next + y * (layer.out_columns - 2) + x);
         }
     }
 }

@@ -7,7 +7,7 @@
 //  narrowed  out  (8 n)     the nearest half, 65504 at most
 //  widened   out  (8 n)     and its value
 //
-// Build -D STORED=HALF, optionally -D CONVERTS.  Launch (n).
+// Build -D STORED=HALF, optionally -D CONVERTS=X86 or PTX.  Launch (n).
 #include "common.clh"
 
 kernel void convert_half(global const float8 *restrict values, global stored *restrict narrowed,

@@ -9,15 +9,61 @@
 //
 // The buffers may hold a strip of the frame: their row 0 is the frame's row `top`; rows `first_row` .. height - 1 are
 // written.
-// `tiles`, `count`: the tiles of 4 x 4 pixels that are computed, see tile_list.clh.
+// `tiles`, `count`: the tiles that are computed, see tile_list.clh: of WORKERS x 4 pixels, or of 4 x 4 where
+// WORKERS is 1.
 //
-// Build -D WORKERS (16: a pixel each; or 1), optionally -D STORED.  Launch (any multiple of WORKERS).
-// winograd.cl -D IMAGE does the same as `image` at the end of up3.
+// Build -D WORKERS (1, or those of a work-group), optionally -D STORED.  Launch (any multiple of WORKERS).
+// winograd_image.cl does the same as `image` at the end of up3.
 #include "common.clh"
 #include "tile_list.clh"
 #include "decoder.clh"
 #include "image.clh"
 
+#if WORKERS > 1
+#define WIDTH WORKERS
+#define ROW (6 * WIDTH)  // numbers of a tile in a row of the image
+
+kernel __attribute__((reqd_work_group_size(WORKERS, 1, 1))) void image(
+    global const stored *restrict feature, global const float4 *restrict color, global const float8 *restrict weight,
+    global const float8 *restrict bias, global float *restrict image, const int height, const int width, const int rows,
+    const int columns, const int feature_columns, const int first_row, const int top, global const uint *restrict tiles,
+    global const int *restrict count)
+{
+    local float2 shared[8 * ROW / 2];
+    const int item = get_local_id(0);
+    for (int t = get_group_id(0); t < count[0]; t += get_num_groups(0)) {
+        const int up = 4 * TILE_ROW(tiles[t]), left = WIDTH * TILE_COLUMN(tiles[t]);
+        barrier(CLK_LOCAL_MEM_FENCE);
+        // The four pixels of a column at once: weights are read once for them.
+        const int x = least(left + item, width - 1);
+#pragma unroll 1
+        for (int lower = 0; lower < 2; ++lower) {
+            float8 sums[4];
+#pragma unroll
+            for (int i = 0; i < 4; ++i) sums[i] = bias[lower];
+#pragma unroll 1
+            for (int e = 0; e < 3; ++e) {
+                float8 f[4];
+#pragma unroll
+                for (int i = 0; i < 4; ++i)
+                    f[i] = LOAD8(feature, ((least(up + i, height - 1) + 1) * feature_columns + x + 1) * 3 + e);
+                outc_of_eight(sums, f, lower, weight + 16 * e);
+            }
+#pragma unroll
+            for (int i = 0; i < 4; ++i)
+                finish_row(sums[i], color, least(up + i, height - 1), x, lower, rows, columns,
+                           shared + ((2 * i + lower) * ROW + 6 * item) / 2);
+        }
+        barrier(CLK_LOCAL_MEM_FENCE);
+        // Neighbours store 8 bytes each in a row.
+        for (int i = item; i < 8 * ROW / 2; i += WORKERS) {
+            const int row = i / (ROW / 2), x = left + i % (ROW / 2) / 3, y = up + row / 2;
+            if (y < first_row || y >= height || x >= width) continue;
+            ((global float2 *)image)[((2 * (top + up) + row) * width + left) * 3 + i % (ROW / 2)] = shared[i];
+        }
+    }
+}
+#else
 kernel void image(global const stored *restrict feature, global const float4 *restrict color,
                   global const float8 *restrict weight, global const float8 *restrict bias,
                   global float *restrict image, const int height, const int width, const int rows, const int columns,
@@ -26,18 +72,6 @@ kernel void image(global const stored *restrict feature, global const float4 *re
 {
     const int2 part = part_of_list(count[0], 1);
     for (int t = part.x; t < part.y; ++t) {
-#if WORKERS == 16
-        const int y = 4 * TILE_ROW(tiles[t]) + WORKER / 4, x = 4 * TILE_COLUMN(tiles[t]) + WORKER % 4;
-        if (y < first_row || y >= height || x >= width) continue;
-        const int pixel = ((y + 1) * feature_columns + x + 1) * 3;
-#pragma unroll 1
-        for (int lower = 0; lower < 2; ++lower) {
-            float8 sum = bias[lower];
-#pragma unroll 1
-            for (int e = 0; e < 3; ++e) sum = outc_of_eight(sum, LOAD8(feature, pixel + e), lower, weight + 16 * e);
-            write_row(sum, color, image, y, x, lower, width, rows, columns, top);
-        }
-#else
         const int x = 4 * TILE_COLUMN(tiles[t]);
         for (int y = 4 * TILE_ROW(tiles[t]), i = 0; i < 4; ++i, ++y) {
             if (y < first_row || y >= height) continue;
@@ -47,6 +81,6 @@ kernel void image(global const stored *restrict feature, global const float4 *re
             residual((const float *)f, weight, bias, sums);
             write_pixels(sums, color, image, y, x, width, rows, columns, top);
         }
-#endif
     }
 }
+#endif

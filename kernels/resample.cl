@@ -8,10 +8,9 @@
 // Output o of N = 2n reads input position o (n - 1) / (N - 1): an integer quotient and its remainder. So the weight is
 // rounded once, for frames of any size. The buffers may hold a strip of the frame: their row 0 is row `top` of
 // `full_height` (2 `top` of the output).
-// `tiles`, `count`: the tiles of 4 x 4 pixels of the output that are computed, of 32 x 4 where WORKERS is 1; see
-// tile_list.clh.
-// Build -D EIGHTS -D WORKERS (16 or 1), optionally -D STORED, -D PREFETCH (of what is compared).  Launch (any multiple
-// of WORKERS).
+// `tiles`, `count`: the tiles of 32 x 4 pixels of the output that are computed; see tile_list.clh.
+// Build -D EIGHTS -D WORKERS (1, or those of a work-group), optionally -D STORED, -D PREFETCH (of what is compared).
+// Launch (any multiple of WORKERS).
 //
 // If MARKS(changes), the output's map, a value is compared with the stored one, and marked if bits differ
 // (change_map.clh).
@@ -34,8 +33,9 @@ static inline Between between(const int o, const int count, const int full, cons
     return at;
 }
 
-#if WORKERS == 1
 #define WIDTH 32
+
+#if WORKERS == 1
 
 kernel __attribute__((reqd_work_group_size(1, 1, 1))) void upsample_corners(
     global const stored *restrict in, global stored *restrict out, const int height, const int width,
@@ -89,29 +89,29 @@ kernel __attribute__((reqd_work_group_size(1, 1, 1))) void upsample_corners(
     }
 }
 #else
-kernel void upsample_corners(global const stored *restrict in, global stored *restrict out, const int height,
-                             const int width, const int in_columns, const int out_columns, const int full_height,
-                             const int top, global const uint *restrict tiles, global const int *restrict count,
-                             global uchar *restrict changes)
+kernel __attribute__((reqd_work_group_size(WORKERS, 1, 1))) void upsample_corners(
+    global const stored *restrict in, global stored *restrict out, const int height, const int width,
+    const int in_columns, const int out_columns, const int full_height, const int top,
+    global const uint *restrict tiles, global const int *restrict count, global uchar *restrict changes)
 {
-    const int2 part = part_of_list(count[0], 1);
-    for (int t = part.x; t < part.y; ++t) {
-        const int y = 4 * TILE_ROW(tiles[t]) + WORKER / 4, x = 4 * TILE_COLUMN(tiles[t]) + WORKER % 4;
-        if (y >= 2 * height || x >= 2 * width) continue;
-        const Between u = between(x, width, width, 0), v = between(y, height, full_height, top);
-        const int upper = (v.first + 1) * in_columns + 1, lower = (v.second + 1) * in_columns + 1;
-        BEGIN_PIXEL;
-        for (int c = 0; c < EIGHTS; ++c) {
+    for (int t = get_group_id(0); t < count[0]; t += get_num_groups(0)) {
+        const int up = 4 * TILE_ROW(tiles[t]), left = WIDTH * TILE_COLUMN(tiles[t]);
+        // Eights of a pixel, then pixels of a row: neighbours store 16 or 32 bytes each in a row.
+        for (int i = get_local_id(0); i < 4 * WIDTH * EIGHTS; i += WORKERS) {
+            const int c = i % EIGHTS, x = left + i / EIGHTS % WIDTH, y = up + i / EIGHTS / WIDTH;
+            if (y >= 2 * height || x >= 2 * width) continue;
+            const Between u = between(x, width, width, 0), v = between(y, height, full_height, top);
+            const int upper = (v.first + 1) * in_columns + 1, lower = (v.second + 1) * in_columns + 1;
             const float8 nw = LOAD8(in, (upper + u.first) * EIGHTS + c),
                          ne = LOAD8(in, (upper + u.second) * EIGHTS + c);
             const float8 sw = LOAD8(in, (lower + u.first) * EIGHTS + c),
                          se = LOAD8(in, (lower + u.second) * EIGHTS + c);
             // First down, then across, as the reference.
             const float8 west = nw + (sw - nw) * v.share, east = ne + (se - ne) * v.share;
-            const float8 value = west + (east - west) * u.share;
-            PUT(value, ((y + 1) * out_columns + x + 1) * EIGHTS + c, out);
+            BEGIN_PIXEL;
+            PUT(west + (east - west) * u.share, ((y + 1) * out_columns + x + 1) * EIGHTS + c, out);
+            END_PIXEL(y * (out_columns - 2) + x);
         }
-        END_PIXEL(y * (out_columns - 2) + x);
     }
 }
 #endif

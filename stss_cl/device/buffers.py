@@ -176,8 +176,9 @@ def on_device(device: Device, name: str, array: cla.Array, dtype: type[np.floati
         raise ArrayError(f"{name}: expected an array in the device's context, got one of another")
     if array.offset + array.nbytes > buffer.size:
         raise ArrayError(f"{name}: expected a buffer of at least {array.offset + array.nbytes} bytes, got {buffer.size}")
-    if array.events:
-        cl.enqueue_barrier(device.queue, wait_for=array.events)
+    # PyOpenCL keeps events that are over, too; each barrier takes microseconds.
+    if waiting := [event for event in array.events if event.command_execution_status != cl.command_execution_status.COMPLETE]:
+        cl.enqueue_barrier(device.queue, wait_for=waiting)
     return part(device, buffer, array.offset, array.nbytes) if array.offset else buffer
 
 

@@ -22,6 +22,8 @@ LANES, UNIT, PARTS, HELD = 32, 16, 4, 2
 """Work-items that multiply together, a wave; pixels of a product; ``PARTS`` x ``HELD`` outputs: a work-item has the sums of one part."""
 WAVES = 64 // UNIT
 """Waves in a work-group."""
+BYTES = 2 * 16 * PARTS * HELD
+"""Of a product's weights, in half."""
 
 _trial: ContextVar[bool | None] = ContextVar("_trial", default=None)
 

@@ -171,7 +171,8 @@ def _shape(device: Device, spec: ConvSpec, a: Padded, out: Padded, final: Final 
     if tuning.winograd is not None and whole_eights:
         return _winograd(device, packed, out, side if stride == 1 else 2, stride, final)
     if tuning.local is not None:
-        if tuning.local.matrix_units and storage(out.dtype) == "HALF" and whole_eights and matrix_units.prove(device):
+        takes = whole_eights or (a.channels == 4 and packed.gate_direct is None)
+        if tuning.local.matrix_units and storage(out.dtype) == "HALF" and takes and matrix_units.prove(device):
             return conv_gpu.on_matrix_units(device, packed, out, stride, tuning.local.rows, images)
         return conv_gpu.local(device, packed, out, stride, tuning.local.rows, images)
     return _direct(device, packed, out, stride, final)

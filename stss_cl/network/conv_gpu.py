@@ -13,35 +13,46 @@ from stss_cl.network.tiles import Tiling
 
 WIDE, TALL = 32, 4
 """Pixels of a work-group's tile: along a row, and rows for each row of a work-item."""
-EIGHTS, MOST_OUTPUTS, EMULATED = (4, 3, 2, 7), 32, 3072
-"""For conv_mma.cl: eights of input channels in local memory at once (the first number that divides all and fits); outputs whose sums fit
-the registers; bytes of local memory for emulated products."""
+OUTPUTS = 32, 24, 16, 8
+"""Outputs of a work-group, the first of these that divides all: no more fit the registers."""
+LEAST_EIGHTS, MANY_EIGHTS, GROUPS, EMULATED = 3, 4, 16, 3072
+"""For conv_mma.cl: eights of input channels at once, below which fewer outputs are better; eights above which few tiles are divided by
+outputs; work-groups for each compute unit; bytes of local memory for emulated products."""
 
 
 def local(device: Device, packed: Packed, out: Padded, stride: int, most_rows: int, images: int) -> Shape:
     """The shape of conv_local.cl for this layer; a work-item has at most ``most_rows`` rows of pixels."""
-    slices, rows = packed.direct.shape[-1] // 8, _rows(device, out, most_rows, images)
-    tiling = _tiling(out, rows, stride, images)
+    outputs, rows = packed.direct.shape[-1], _rows(device, out, most_rows, images)
+    tiling, slices = _tiling(out, rows, stride, images), next(n for n in OUTPUTS if outputs % n == 0) // 8
     return Shape(
         file="conv_local.cl",
-        options={"STRIDE": stride, "ROWS": rows, "IMAGES": images > 1},
+        options={"STRIDE": stride, "ROWS": rows, "SLICES": slices, "IMAGES": images > 1},
         weight=packed.direct,
         gate=packed.gate_direct,
         tiling=tiling,
-        size=(8 * tiling.most, 4, slices),
+        size=(8 * tiling.most, 4, outputs // 8),
         group=(8, 4, slices),
     )
 
 
 def on_matrix_units(device: Device, packed: Packed, out: Padded, stride: int, most_rows: int, images: int) -> Shape:
     """The shape of conv_mma.cl for this layer; a work-item has at most ``most_rows`` rows of pixels."""
-    inner, outputs = packed.direct.shape[2] // 8, packed.direct.shape[3]
-    # Tiles of twice the side and eights of all channels would not fit into local memory together, nor seven at once into the registers.
-    rows = 1 if stride == 2 or inner % 7 == 0 else _rows(device, out, most_rows, images)
-    plane = 16 * (34 * stride * (stride * (TALL * rows - 1) + 3) + 2)  # bytes of an eight in local memory
-    eights = next((n for n in EIGHTS if inner % n == 0 and n * plane + EMULATED <= device.local_memory), 1)
-    block = next(n for n in (outputs, MOST_OUTPUTS, MOST_OUTPUTS - 8) if n <= MOST_OUTPUTS and outputs % n == 0)
+    inner, outputs = ceil_div(packed.direct.shape[2], 8), packed.direct.shape[3]
+    rows = 1 if stride == 2 else _rows(device, out, most_rows, images)
     tiling = _tiling(out, rows, stride, images)
+    # Few tiles of many channels, which do not fit at once: fewer outputs of a group use more of the device.
+    least = 2 * device.compute_units if inner > MANY_EIGHTS else 0
+    blocks = [n for n in OUTPUTS if outputs % n == 0]
+    block = next((n for n in blocks if tiling.most * (outputs // n) >= least), blocks[-1])
+    eights = _eights(device, packed, stride, rows, block)
+    if rows > 1 and eights < inner <= _eights(device, packed, stride, 1, block):
+        rows, eights = 1, inner
+        tiling = _tiling(out, rows, stride, images)
+    while eights < min(inner, LEAST_EIGHTS) and block % 16 == 0:
+        block //= 2
+        eights = _eights(device, packed, stride, rows, block)
+    # A group has several tiles if it copies its weights only once.
+    groups = ceil_div(tiling.most, ceil_div(tiling.most, GROUPS * device.compute_units)) if eights == inner else tiling.most
     return Shape(
         file="conv_mma.cl",
         options={
@@ -55,8 +66,26 @@ def on_matrix_units(device: Device, packed: Packed, out: Padded, stride: int, mo
         weight=fragments(packed, eights, block),
         gate=None,
         tiling=tiling,
-        size=(matrix_units.LANES * tiling.most, matrix_units.WAVES * (outputs // block)),
+        size=(matrix_units.LANES * groups, matrix_units.WAVES * (outputs // block)),
         group=(matrix_units.LANES, matrix_units.WAVES),
+    )
+
+
+def _eights(device: Device, packed: Packed, stride: int, rows: int, block: int) -> int:
+    """Most eights of input channels, a divisor of all, whose tile and weights fit into local memory together; 1 if none does."""
+    inner = ceil_div(packed.direct.shape[2], 8)
+    plane = 34 * stride * (stride * (TALL * rows - 1) + 3) + 2
+    results = block // 8 * (WIDE * TALL * rows + 8)
+    matrices = block // 8 + (packed.gate_direct is not None)
+    return next(
+        (
+            n
+            for n in range(inner, 1, -1)
+            if inner % n == 0
+            and 16 * max(n * plane, results) + ceil_div(9 * n, 2) * matrices * matrix_units.BYTES + EMULATED
+            <= device.local_memory
+        ),
+        1,
     )
 
 

@@ -31,6 +31,8 @@ from stss_ref.weights import BY_NAME, SecondColor, Weights
 See = Callable[[LayerLaunch, tuple[Padded, int, int] | None], None]
 WINDOW = 5
 """Side of the attention's window, in pixels at 1/8 size."""
+SHARED, COLUMNS = 128, 64
+"""Work-items of a GPU that share a tile of 32 x 4 pixels; columns of a tile of the image, with a work-item for each."""
 
 
 class Layers:
@@ -98,6 +100,7 @@ class Layers:
         self.hole_test: HoleTest = weights.hole_test
         self.hole_fill: HoleFill = weights.hole_fill
         self._needed, self._height, self._width, self._full, self._top = subset, rows, columns, full, 0
+        self._strip: Strip | None = None
         self.inputs = inputs_for(device, rows, columns, dtype, keep)
         self._build = build = LayerBuilder(device, subset.tensors, precision, rows, columns, what.slots, self.inputs, keep)
         self.marked, self.maps = build.marked, build.maps
@@ -127,7 +130,7 @@ class Layers:
 
     def load(self) -> None:
         """Let the runtime load or compile all kernels, by launches over empty lists."""
-        none = zeroed(self.device, 4)
+        none, self._strip = zeroed(self.device, 4), None
         for launch in self.launches:
             launch.load(self.device.queue, count=none)
 
@@ -146,7 +149,9 @@ class Layers:
 
     def place(self, strip: Strip) -> None:
         """Make the launches compute this strip."""
-        self._top = strip.top
+        if strip == self._strip:
+            return
+        self._strip, self._top = strip, strip.top
         for launch, divisor in self._placed:
             launch.set(top=strip.top // divisor)
         last = self.launches[-1]
@@ -226,8 +231,7 @@ class Layers:
     def _upsample(self, step: Upsample) -> None:
         x, up = self._build[step.source], self._build[step.out]
         # Rows 4 t .. 4 t + 3 of the output read the input's rows 2 t - 1 .. 2 t + 2.
-        across = 32 if self.device.is_cpu else 4
-        tiling = Tiling(ceil_div(up.height, 4), ceil_div(up.width, across), (2, across // 2), 1, 0)
+        tiling = Tiling(ceil_div(up.height, 4), ceil_div(up.width, 32), (2, 16), 1, 0)
         launch = self._build.kernel(
             "decoder",
             KernelSource("resample.cl", "upsample_corners", {"EIGHTS": x.channels // 8, "PREFETCH": self.device.takes_prefetch}),
@@ -235,7 +239,7 @@ class Layers:
                 "in": x.data, "out": up.data, "height": x.height, "width": x.width, "in_columns": x.columns,
                 "out_columns": up.columns, "full_height": self._full // step.source.divisor, "top": 0,
             },
-            tiling, reads=(x,), out=up,
+            tiling, workers=SHARED, reads=(x,), out=up,
         )  # fmt: skip
         self._placed.append((launch, step.source.divisor))
 
@@ -250,6 +254,10 @@ class Layers:
             self._build.conv(Conv(layer, ((what.last, layer.inputs),), what.last), final)
             return
         feature = self._build[what.last]
+        small, large = (
+            of_convolution(final.height, final.width, 1, 3),
+            Tiling(ceil_div(final.height, 4), ceil_div(final.width, COLUMNS), (4, COLUMNS), 1, 0),
+        )
         self._build.kernel(
             "decoder", KernelSource("decoder.cl", "image", {}),
             {
@@ -257,5 +265,6 @@ class Layers:
                 "height": final.height, "width": final.width, "rows": final.rows, "columns": final.columns,
                 "feature_columns": feature.columns, "first_row": 0, "top": 0,
             },
-            of_convolution(final.height, final.width, 1, 3), reads=(feature, self.inputs.input), out=None,
+            small if self.device.is_cpu else large,
+            workers=COLUMNS, reads=(feature, self.inputs.input), out=None,
         )  # fmt: skip

@@ -182,17 +182,18 @@ def fragments(packed: Packed, eights: int, block: int) -> NDArray[np.float16]:
 
     Returns:
         (OUT / block, chunks, steps, matrices, 16 * PARTS * HELD): for each product what `arrange` makes. The inner dimension runs over
-        channels within taps within chunks, 16 to a step. Each part has block / PARTS outputs and the gate behind them, then zeros.
+        channels within taps within chunks, 16 to a step. A matrix has eight outputs; the last one has the gate in each part, and zeros.
     """
     _, _, inner, outputs = packed.direct.shape
-    weight = packed.direct.reshape(9, inner, outputs // block, PARTS, block // PARTS)
+    weight = packed.direct.reshape(9, inner, outputs // block, block // (PARTS * HELD), PARTS, HELD)
+    weight = np.pad(weight, [(0, 0), (0, -inner % 8), *4 * [(0, 0)]])
     if packed.gate_direct is not None:
-        gate = np.broadcast_to(packed.gate_direct.reshape(9, inner, 1, 1, 1), (*weight.shape[:-1], 1))
-        weight = np.concatenate([weight, gate], axis=-1)
-    weight = np.pad(weight, (*4 * [(0, 0)], (0, -weight.shape[-1] % HELD)))
-    # block, chunk, tap, channel, part, value
-    weight = weight.reshape(9, -1, 8 * eights, *weight.shape[2:]).transpose(3, 1, 0, 2, 4, 5)
-    weight = weight.reshape(*weight.shape[:2], 9 * eights * 8, PARTS, -1)
-    weight = np.pad(weight, ((0, 0), (0, 0), (0, 9 * eights % 2 * 8), (0, 0), (0, 0)))
-    steps = weight.reshape(*weight.shape[:2], -1, 16, PARTS, weight.shape[-1] // HELD, HELD)
-    return np.ascontiguousarray(arrange(np.moveaxis(steps, 5, 3)), np.float16)
+        gate = np.zeros((*weight.shape[:3], 1, *weight.shape[4:]), weight.dtype)
+        gate[..., 0] = packed.gate_direct.reshape(9, inner, 1, 1, 1)
+        weight = np.concatenate([weight, gate], axis=3)
+    # Tap, chunk, channel, block, matrix, part, value -> block, chunk, tap and channel, ...
+    weight = weight.reshape(9, -1, 8 * eights, *weight.shape[2:]).transpose(3, 1, 0, 2, 4, 5, 6)
+    weight = weight.reshape(*weight.shape[:2], 9 * eights * 8, *weight.shape[4:])
+    weight = np.pad(weight, [(0, 0), (0, 0), (0, 9 * eights % 2 * 8), *3 * [(0, 0)]])
+    steps = weight.reshape(*weight.shape[:2], -1, 16, *weight.shape[3:])
+    return np.ascontiguousarray(arrange(np.moveaxis(steps, 4, 3)), np.float16)

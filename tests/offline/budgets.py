@@ -16,19 +16,25 @@ class Budget:
 
 
 DEFAULT = Budget()
+STRUCT = 48
+"""Bytes of stack: Clang copies an argument that is a struct (layer.clh's) there. NVIDIA's compiler does not: at most 8 on an H200."""
 BUDGETS = {
     # 64 sums and what a row of the tile holds; two groups and more on every unit.
     # On Intel four registers, which no loop over channels reads.
-    "conv_local": Budget(registers=240, local=31 << 10, intel=128),
-    # Sums of 64 pixels x 32 outputs for four times 32 work-items.
-    "conv_mma": Budget(registers=224, local=40 << 10),
+    "conv_local": Budget(registers=240, stack=STRUCT, local=31 << 10, intel=128),
+    # Sums of 64 pixels x 32 outputs for four times 32 work-items; inputs and weights of as many channels as fit.
+    "conv_mma": Budget(registers=224, stack=STRUCT, local=48 << 10),
     "matrix": Budget(local=1 << 10),
     # The keys around a tile of 4 x 4, and 25 weights for each of its pixels.
     "attend_local": Budget(local=12 << 10),
+    # Eight rows of the image, above and below 64 columns.
+    "image": Budget(local=12 << 10),
+    # An alignment of eight bytes.
+    **dict.fromkeys(("holes", "prepare_newest", "prepare_older"), Budget(stack=8)),
     # A flag for each of 32 tiles.
     "arrive": Budget(local=128),
     # The plain convolution is the oracle: it may have all registers.
-    "conv": Budget(registers=256),
+    "conv": Budget(registers=256, stack=STRUCT),
 }
 
 
