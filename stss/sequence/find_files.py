@@ -8,6 +8,7 @@ import re
 import unicodedata
 from collections import defaultdict
 from collections.abc import Collection, Iterable
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,6 +18,8 @@ _SEPARATORS = "._- "
 _STEM = re.compile(r"(.*?)(\d+)(\D*)", re.DOTALL)
 """The frame number is the last group of digits of the name without its suffix."""
 _PATTERN = re.compile(r"(.*?)#+([^#]*)", re.DOTALL)
+_FOREIGN = (r"%0?\d*d|\$F\d?|<F\d?>|<frame>|@+|\*", r"\[\d+-\d+\]|\{\d+\.\.\d+\}|\d+-\d+", r"\d+(?=\D*$)")
+"""How other programs write the frame number (Nuke, FFmpeg, Houdini, Arnold, V-Ray, RV, shells), or a range; then one frame's own."""
 _DIGIT = re.compile(r"\d")
 _FRACTION = re.compile(r"(.*[^\dvV]|)(\d+)\.", re.DOTALL)
 """The part before the digits of ``NAME.0001.5``; ``v1.0001`` is a version."""
@@ -107,7 +110,7 @@ def find_frames(path: Path, endings: Collection[str]) -> Frames:
             raise InputError(f"{file.path}: the same frame as {other.name}")
     if not by_prefix:
         kinds = "NAME.0001.exr" if "" in endings else f"NAME{_list_endings(endings)}.0001.exr"
-        raise InputError(f"{path}: no frames; expected files named like {kinds}{_fractions(files)}")
+        raise InputError(f"{path}: no frames; expected files named like {kinds}{_fractions(files)}{_below(folder)}")
     if len(by_prefix) > 1:
         stems = ", ".join(name or "(no name)" for name in sorted(by_prefix))
         raise InputError(
@@ -131,6 +134,27 @@ def _fractions(files: Iterable[NumberedFile]) -> str:
     )
 
 
+def _below(folder: Path) -> str:
+    """A note where a folder in this one has the images; else nothing."""
+    with suppress(OSError):
+        for each in sorted(folder.iterdir()):
+            if each.is_dir() and any(file.suffix.lower() == ".exr" for file in each.iterdir()):
+                return f"; its folder {each.name} has EXR files: give that one, or put all frames of a shot into one folder"
+    return ""
+
+
+def _advice(path: Path) -> str:
+    """A note where the path is a pattern of another program, one frame, or written as on Windows; else nothing."""
+    if os.sep == "/" and "\\" in str(path):
+        return "; the path has \\, and folders are separated by / here"
+    if path.suffix.lower() == ".exr":
+        for number in _FOREIGN:
+            pattern, count = re.subn(number, "####", path.stem, count=1, flags=re.IGNORECASE)
+            if count:
+                return f"; write {pattern}{path.suffix}"
+    return ""
+
+
 def _files(path: Path, folder: Path) -> list[Path]:
     """The files in the folder, sorted; InputError where it is not a folder or cannot be read."""
     try:
@@ -141,7 +165,7 @@ def _files(path: Path, folder: Path) -> list[Path]:
         kind = "a file"
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from error
-    raise InputError(f"{path}: expected a folder, or a pattern like name.####.exr; found {kind}")
+    raise InputError(f"{path}: expected a folder, or a pattern like name.####.exr; found {kind}{_advice(path)}")
 
 
 def frame_number(file: Path, digits: str) -> int:

@@ -120,7 +120,11 @@ def _write_beside(path: Path, data: bytes) -> None:
     try:
         with temporary.open("xb") as file:
             if path.is_file() and not path.is_symlink() and hasattr(os, "fchmod"):
-                os.fchmod(file.fileno(), stat.S_IMODE(path.stat().st_mode))  # a file that only its owner may read stays private
+                mode = stat.S_IMODE(path.stat().st_mode)  # a file that only its owner may read stays private
+                if mode != stat.S_IMODE(
+                    os.fstat(file.fileno()).st_mode
+                ):  # a share of Windows has one mode, and refuses to set it
+                    os.fchmod(file.fileno(), mode)
             file.write(data)
             file.flush()
             sync(file.fileno())

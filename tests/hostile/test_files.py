@@ -507,6 +507,19 @@ def test_a_file_that_the_user_named(tmp_path):
     assert not [path for path in tmp_path.iterdir() if path.suffix == ".part"]
 
 
+@pytest.mark.skipif(not hasattr(os, "fchmod"), reason="no modes here")
+def test_a_share_without_modes_lets_a_file_be_replaced(tmp_path, monkeypatch):
+    """All files of such a share have one mode, and setting it is refused."""
+
+    def refuse(*_):
+        raise PermissionError(errno.EPERM, "Operation not permitted")
+
+    monkeypatch.setattr(os, "fchmod", refuse)
+    for data in (b"old", b"new"):
+        write_whole(tmp_path / "stss.sha256", data)
+    assert (tmp_path / "stss.sha256").read_bytes() == b"new"
+
+
 @pytest.mark.parametrize("name", ["a.exr", "a.png"])
 def test_without_files_in_memory_a_cut_picture_is_found_too(tmp_path, monkeypatch, name):
     """OpenImageIO closes a file that was cut short as if all were well; here it is cut by hand."""

@@ -1,5 +1,6 @@
 """Frame numbers in the names of files: signs, fractions, patterns, names with unusual characters."""
 
+import os
 import unicodedata
 from pathlib import Path
 
@@ -39,6 +40,34 @@ def find_names(folder, *names, path=None):
 )
 def test_a_minus_sign_is_told_from_a_dash(tmp_path, names):
     assert find_names(tmp_path, *names.values()) == names
+
+
+@pytest.mark.parametrize(("written", "advice"), [
+    ("shot.%04d.exr", "shot.####.exr"), ("shot.$F4.exr", "shot.####.exr"), ("shot.<F4>.exr", "shot.####.exr"),
+    ("shot_v002.@@@@.exr", "shot_v002.####.exr"), ("shot-2.*.exr", "shot-2.####.exr"), ("shot.[1-24].exr", "shot.####.exr"),
+    ("shot.0001-0024.exr", "shot.####.exr"), ("shot_v002.0001.exr", "shot_v002.####.exr"), ("a1.%d.EXR", "a1.####.EXR"),
+    ("shot01", None), ("shot", None),
+])  # fmt: skip
+def test_the_pattern_of_another_program_is_told_as_ours(tmp_path, written, advice):
+    (tmp_path / "shot_v002.0001.exr").touch()
+    with pytest.raises(InputError) as error:
+        find_frames(tmp_path / written, [""])
+    assert "expected a folder, or a pattern like name.####.exr; found " in str(error.value)
+    assert str(error.value).partition("; write ")[2] == (advice or "")
+
+
+@pytest.mark.skipif(os.sep != "/", reason="a backslash is no letter of a name here")
+def test_a_path_of_windows_is_told():
+    with pytest.raises(InputError, match=r"found nothing; the path has \\, and folders are separated by / here"):
+        find_frames(Path(r"shots\a\lr"), [""])
+
+
+def test_a_folder_of_folders_is_told(tmp_path):
+    """One for each frame, as some farms leave them, or the folder above."""
+    (tmp_path / "0001").mkdir()
+    (tmp_path / "0001" / "beauty.exr").touch()
+    with pytest.raises(InputError, match=r"no frames; .*; its folder 0001 has EXR files: give that one, or put all frames"):
+        find_frames(tmp_path, [""])
 
 
 def test_frames_before_zero_run_in_order(write_frames, tmp_path):
