@@ -10,6 +10,8 @@ from hypothesis import settings
 
 # One test process runs on each core: threads of theirs would only wait for each other, and those of linear algebra do so busily.
 os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+# Hypothesis reads the constants of all our modules, and keeps them; each judge in a folder of its own would read them anew.
+os.environ["HYPOTHESIS_STORAGE_DIRECTORY"] = str(Path(__file__).parents[1] / ".hypothesis")
 
 # CI runs the same cases every time; a developer's machine looks for new ones.
 settings.register_profile("ci", derandomize=True, deadline=None)
