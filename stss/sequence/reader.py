@@ -151,7 +151,8 @@ class Sequence:
             number = buffers.number - (now is not None)
             raise InputError(
                 f"{self._where(buffers.number)}: --background camera: positions of static geometry in frame {number} do not give the "
-                "camera; write the background's motion into the files"
+                "camera: too few, or all in one plane; let static geometry off the plane be seen, or write the background's motion "
+                "into the files"
             )
         motion = np.where(background, background_motion(before, now, self.size), buffers.motion)
         return replace(buffers, motion=motion)
