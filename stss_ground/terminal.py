@@ -25,7 +25,7 @@ def printable(text: str) -> str:
     """One line that any terminal can show, of `MAX_LENGTH` characters at most; printable text as it is."""
     if len(text) > MAX_LENGTH:
         text = f"{text[: MAX_LENGTH // 2]} ... {text[-MAX_LENGTH // 2 :]}"
-    return text if text.isprintable() else "".join(map(_shown, text))
+    return text if text.isprintable() else "".join(map(_escape, text))
 
 
 def echo(line: str, *, err: bool = False) -> None:
@@ -49,7 +49,7 @@ class Terminal(Console):
 
     def render_str(self, text: str, **how: Any) -> Text:
         """See ``rich.console.Console``; all arguments but markup are text."""
-        return super().render_str("".join(c if c == "\n" else _shown(c) for c in text), **how)
+        return super().render_str("".join(c if c == "\n" else _escape(c) for c in text), **how)
 
 
 def accept_any_text() -> None:
@@ -59,5 +59,5 @@ def accept_any_text() -> None:
             stream.reconfigure(errors="backslashreplace")
 
 
-def _shown(character: str) -> str:
+def _escape(character: str) -> str:
     return character if character.isprintable() else repr(character)[1:-1]

@@ -48,7 +48,7 @@ def write(path: Path, state: State) -> None:
     tensors = {f"network/{name}": t.detach().contiguous() for name, t in state.network.named_parameters()}
     tensors |= {f"heads/{name}": t.detach().contiguous() for name, t in state.heads.named_parameters()}
     tensors |= {f"average/{name}": t.contiguous() for name, t in state.average.items()}
-    for name, optimiser, parameter in _optimised(state):
+    for name, optimiser, parameter in _name_optimisers(state):
         for kind, value in optimiser.state[parameter].items():
             tensors[f"optimiser/{name}/{kind}"] = torch.as_tensor(value).contiguous()
     # One entry, since safetensors writes several in a different order each time.
@@ -81,12 +81,12 @@ def read(path: Path, state: State, device: torch.device) -> None:
     state.heads.load_state_dict(_below("heads/", tensors))
     for name, tensor in _below("average/", tensors).items():
         state.average[name].copy_(tensor)
-    for name, optimiser, parameter in _optimised(state):
+    for name, optimiser, parameter in _name_optimisers(state):
         slots = _below(f"optimiser/{name}/", tensors)
         optimiser.state[parameter] = {k: t if t.ndim == 0 else t.to(memory_format=_layout(parameter)) for k, t in slots.items()}
 
 
-def _optimised(state: State) -> Iterator[tuple[str, torch.optim.Optimizer, Tensor]]:
+def _name_optimisers(state: State) -> Iterator[tuple[str, torch.optim.Optimizer, Tensor]]:
     parameters = (*state.network.named_parameters(), *state.heads.named_parameters(prefix="heads"))
     names = {parameter: name for name, parameter in parameters}
     for optimiser in state.optimisers:

@@ -40,7 +40,7 @@ def loss(output: Tensor, truth: Tensor, trust: Tensor, perceptual: Tensor | floa
         trust: (N, 1, 2H, 2W), see `trusted`; RRM's rectangle is none of it.
         perceptual: the perceptual distance, `STRUCTURE` times the mean of `structure`.
     """
-    return _weighted((output - truth).abs(), trust) + PERCEPTUAL * perceptual
+    return _weigh_by_trust((output - truth).abs(), trust) + PERCEPTUAL * perceptual
 
 
 SQUARES = 20.0
@@ -90,7 +90,7 @@ def supervision(pictures: list[Tensor], truth: Tensor) -> Tensor:
     return SQUARES * torch.stack(errors).mean()
 
 
-def _weighted(error: Tensor, trust: Tensor) -> Tensor:
+def _weigh_by_trust(error: Tensor, trust: Tensor) -> Tensor:
     """``mean e + sum e (1 - M) / max(sum (1 - M), 1e-6)``, with the mask M (spec 6)."""
     masked = (1 - trust).expand_as(error)
     return error.mean() + (error * masked).sum() / masked.sum().clamp(min=1e-6)

@@ -84,7 +84,7 @@ def _bias(convolution: nn.Conv2d) -> Tensor:
     return convolution.bias
 
 
-def enlarged(x: Tensor) -> Tensor:
+def enlarge(x: Tensor) -> Tensor:
     """Twice the size, bilinear with corners aligned, (N, C, 2H, 2W). In training by matrices: the gradient of PyTorch's own is slow."""
     if not x.requires_grad:
         return nn.functional.interpolate(x, scale_factor=2, mode="bilinear", align_corners=True)
@@ -139,12 +139,12 @@ class Network(nn.Module):
         """
         if color.shape[1] > 6:
             color = color[:, :6] if self.second_color == "newest" else torch.cat([color[:, :3], color[:, 6:]], 1)
-        results_before = {HISTORY: self.embedded(history)} if self.without == "history" else {}
+        results_before = {HISTORY: self.embed(history)} if self.without == "history" else {}
         results = evaluate(self, color, gbuffer, mask, history.flatten(0, 1), GRAPHS[self.without], results_before)
         features = {feature: results[name] for feature, name in FEATURES.items() if name in results}
         return nn.functional.pixel_shuffle(results[GRAPH[-1].name], 2), features
 
-    def embedded(self, history: Tensor) -> Tensor:
+    def embed(self, history: Tensor) -> Tensor:
         """The feature of a history that is not read, (N, 32, H/8, W/8): the same everywhere."""
         gated = cast(Gated, self.get_submodule(HISTORY))
         bias, gate = _bias(gated.conv_feature), _bias(cast(nn.Conv2d, gated.conv_mask[0]))
@@ -162,7 +162,7 @@ class Network(nn.Module):
 
     def upsample(self, x: Tensor) -> Tensor:
         """Twice the size, corners aligned."""
-        return enlarged(x)
+        return enlarge(x)
 
     def reduce(self, x: Tensor) -> Tensor:
         """An eighth of the size."""

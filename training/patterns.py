@@ -55,7 +55,7 @@ def grain(scale: float, random: Random, *, octaves: int = 3, sharp: bool = False
     return pattern
 
 
-def filtered(material: Material, period: float) -> Material:
+def filter_by_period(material: Material, period: float) -> Material:
     """The material of a large flat floor: its pattern fades to the mean where ``period`` is below a few pixels, as with mip maps."""
 
     def fade(pattern: Pattern) -> Pattern:

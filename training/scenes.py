@@ -12,7 +12,7 @@ import numpy as np
 from conformance.scenes import Camera, Light, Object, Scene
 from conformance.scenes.scene import Pose, Vector
 from conformance.scenes.shapes import Box, Cylinder, Disc, Plane, Shape, Sphere
-from training.patterns import Random, filtered, random_material
+from training.patterns import Random, filter_by_period, random_material
 
 CAMERAS = ("still", "pan", "tilt", "dolly", "dolly", "forward", "orbit", "shake", "cut")
 INPUTS = {"aliased": (), "color": ("color",), "all": ("color", "normal", "nov", "base_color", "roughness", "metallic")}
@@ -54,7 +54,7 @@ def random_film(seed: int, inputs: str = "aliased") -> Film:
 def _surroundings(random: Random) -> list[Object]:
     floor = random_material(random, 300, plain=0.05)
     # As with mip maps, or without.
-    ground = Object("ground", Plane(), filtered(floor, 50) if random.random() < 0.6 else floor, casts=False)
+    ground = Object("ground", Plane(), filter_by_period(floor, 50) if random.random() < 0.6 else floor, casts=False)
     kind = random.random()
     if kind < 0.35:  # a room
         half = (float(random.uniform(500, 900)), float(random.uniform(700, 1000)), float(random.uniform(250, 500)))

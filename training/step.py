@@ -53,7 +53,7 @@ def advance(state: State, batch: tuple[Tensor, ...], rate: float, aims: Aims, *,
     """
     leak(state.network, LEAK * aims.young)
     enlarged, trust = base(batch[0]), trusted(batch[2])
-    value = (compiled_objective() if compiled and not aims.young else objective)(
+    value = (compile_objective() if compiled and not aims.young else objective)(
         state.network, state.heads, batch, enlarged, trust, aims
     )
     return descend(state, value, rate)
@@ -104,6 +104,6 @@ def objective(network: Network, heads: Heads, batch: tuple[Tensor, ...], enlarge
 
 
 @cache
-def compiled_objective() -> Callable[..., Tensor]:
+def compile_objective() -> Callable[..., Tensor]:
     """`objective`, compiled for one shape of batch: the work between the convolutions takes half the time."""
     return torch.compile(objective, dynamic=False)

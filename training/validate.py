@@ -91,8 +91,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     shards = load_shards(options.data, weights)
     if named is not None and weights is not None:
         if weights.hole_test != HOLE_TESTS[0]:
-            found = f"expected weights with the hole test {HOLE_TESTS[0]}, as the samples have it, found {weights.hole_test}"
-            raise InputError(f"{named}: {found}; stss methods measures them")
+            reason = f"expected weights with the hole test {HOLE_TESTS[0]}, as the samples have it, found {weights.hole_test}"
+            raise InputError(f"{named}: {reason}; stss methods measures them")
         models[named] = network = Network().to(device)
         load_weights(network, weights)
     for name, model in models.items():

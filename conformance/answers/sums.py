@@ -42,7 +42,7 @@ def rounding(got: NDArray[Any], want: NDArray[Any], terms: int, arithmetic: Arit
     return np.array([np.mean(error * error), np.sum(error) / np.sqrt(error.size)])
 
 
-def expected_rounding(arithmetic: Arithmetic) -> Expected:
+def expect_rounding(arithmetic: Arithmetic) -> Expected:
     """Limits of `rounding`. Winograd's weights round once for all pixels, so its errors are alike, and their signed sum has no limit."""
     signed = np.inf if arithmetic.winograd else BOUNDS["sums.signed"].roundings
     return Expected(np.zeros(2), np.array([BOUNDS["sums.square"].roundings, signed]))

@@ -18,7 +18,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from conformance.cases.large_inputs import network_case
-from conformance.cases.stage_inputs import Inputs, made_weights
+from conformance.cases.stage_inputs import Inputs, make_weights
 from conformance.protocol.array_specs import Dim
 from conformance.protocol.stages import STAGES
 from stss_ref.weights import LAYERS, Weights
@@ -211,7 +211,7 @@ def _frame(rng: Generator) -> tuple[Inputs, Weights]:
         "gbuffer": gbuffer, "nov": now["nov"],
         **{f"{name}s": np.repeat(now[name][None], 4, axis=0) for name in ("stencil", "normal", "position")},
     }  # fmt: skip
-    return inputs, made_weights("random", 0, "newest", "paper")
+    return inputs, make_weights("random", 0, "newest", "paper")
 
 
 _BASES: dict[str, Callable[[Generator], tuple[Inputs, Any]]] = {

@@ -15,7 +15,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from conformance.cases.large_inputs import frame_case
-from conformance.cases.stage_inputs import Inputs, made_weights
+from conformance.cases.stage_inputs import Inputs, make_weights
 from stss_ref.constants import EARLIER_SHARE, HoleLimits
 from stss_ref.reshade import COSINE, FOOTPRINTS, RADIUS, STATIC_COSINE
 from stss_ref.weights import Weights
@@ -200,7 +200,7 @@ def _window(rng: Generator) -> tuple[Inputs, Weights]:
 def _lit(rng: Generator, keys: NDArray[np.float64], trusted: NDArray[np.float64]) -> tuple[Inputs, Weights]:
     """Stage erm with keys that are 1e-12 times ``keys``."""
     height, width = keys.shape
-    weights = dict(made_weights("random", 0))
+    weights = dict(make_weights("random", 0))
     for name, tensor in weights.items():
         if name.startswith("KEncoder"):
             weights[name] = np.zeros_like(tensor)
@@ -218,7 +218,7 @@ def _dark(rng: Generator) -> tuple[Inputs, Weights]:
     return {**inputs, "colors": inputs["colors"] * 2 - 1}, weights
 
 
-def _mixed(_: Generator) -> Inputs:
+def _mix(_: Generator) -> Inputs:
     """Black and white pixels in turn, and the opposite before."""
     image = np.repeat(np.indices((4, 4)).sum(axis=0)[..., None] % 2, 3, axis=-1).astype(np.float64)
     return {"image": image, "before": 1 - image, "motion": np.zeros((2, 2, 2))}
@@ -247,7 +247,7 @@ CONSTANTS = (
     Constant("least sum of weights", "1e-6", "erm", _materials),
     Constant("window", "5", "erm", _window),
     Constant("least colour", "0", "frame", _dark),
-    Constant("share of the image shown before", str(EARLIER_SHARE), "accumulate", _mixed),
+    Constant("share of the image shown before", str(EARLIER_SHARE), "accumulate", _mix),
 )
 
 

@@ -12,7 +12,7 @@ from functools import partial
 import numpy as np
 from numpy.random import Generator
 
-from conformance.cases.stage_inputs import Inputs, made_weights
+from conformance.cases.stage_inputs import Inputs, make_weights
 from stss_ref.weights import SECOND_COLORS, SecondColor, Weights
 
 STEPS = ((0, 2, 4), (1, 3, 5), (1, 3, 3), (1, 1, 1), (2, 3, 5))
@@ -46,4 +46,4 @@ def _frame(steps: tuple[int, int, int], second: SecondColor, rng: Generator) -> 
         "motions": np.broadcast_to(moves[:, None, None], (len(moves), *SIZE, 2)), "gbuffer": rng.random((*SIZE, 9)),
         "nov": rng.uniform(-1, 1, SIZE), "stencils": stencils, "normals": normals, "positions": positions,
     }  # fmt: skip
-    return inputs, made_weights("random", 0, second)
+    return inputs, make_weights("random", 0, second)

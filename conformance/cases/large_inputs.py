@@ -15,7 +15,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from conformance.cases.planes import Size
-from conformance.cases.stage_inputs import Inputs, made_weights
+from conformance.cases.stage_inputs import Inputs, make_weights
 from stss_ref.constants import HOLE_FILLS, HoleFill
 from stss_ref.weights import SECOND_COLORS, SecondColor, Weights
 
@@ -135,7 +135,7 @@ def network_case(stage: str, size: Size, rng: Generator) -> tuple[Inputs, Weight
     inputs: Inputs = {name: rng.random(shapes[name], np.float32) for name in names[stage]}
     if stage in ("encoder", "erm", "network"):
         inputs["mask"] = (rng.random(size) < 0.8).astype(np.float64)
-    return inputs, made_weights("random", 0)
+    return inputs, make_weights("random", 0)
 
 
 def frame_case(
@@ -159,7 +159,7 @@ def frame_case(
         "steps": np.array(steps, np.int32), "motions": moved, "gbuffer": rng.random((*size, 9), single),
         "nov": rng.random(size, single) * 2 - 1,
     }  # fmt: skip
-    return inputs, made_weights("random", 0, second, fill=fill)
+    return inputs, make_weights("random", 0, second, fill=fill)
 
 
 _IMAGE: dict[str, Callable[[Moving, Size, Generator], Inputs]] = {

@@ -330,7 +330,7 @@ def _rendered(name: str, number: int, size: Size) -> Rendered:
 @st.composite
 def weights(draw: st.DrawFn) -> Weights:
     """Draw one of a few sets of weights, so that a port need not upload new ones for every case."""
-    return made_weights(draw(st.sampled_from(WEIGHT_KINDS)), draw(st.integers(0, 2)))
+    return make_weights(draw(st.sampled_from(WEIGHT_KINDS)), draw(st.integers(0, 2)))
 
 
 @st.composite
@@ -342,11 +342,11 @@ def frame_weights(draw: st.DrawFn) -> Weights:
         draw(st.sampled_from(HOLE_TESTS)),
         draw(st.sampled_from(HOLE_FILLS)),
     )
-    return made_weights(kind, 0, second, test, fill)
+    return make_weights(kind, 0, second, test, fill)
 
 
 @lru_cache(32)
-def made_weights(
+def make_weights(
     kind: str,
     seed: int,
     second: SecondColor = "newest",

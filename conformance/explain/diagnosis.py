@@ -42,7 +42,7 @@ AS_NEAR = 2.0
 
 
 @dataclass(frozen=True)
-class _Answered:
+class _Answer:
     """A case, the port's answer, the right ones, and where the port's is wrong."""
 
     case: Case
@@ -71,7 +71,7 @@ def diagnose(judge: Judge, findings: Iterable[Finding]) -> str:
         return ""
     stage = failures[0].case.stage
     mistakes, end = suspects(stage), process_time() + MOST_SECONDS
-    others: list[_Answered] | None = None
+    others: list[_Answer] | None = None
     matches: list[tuple[float, Mistake]] = []
     count = 0
     for mistake in mistakes:
@@ -86,17 +86,17 @@ def diagnose(judge: Judge, findings: Iterable[Finding]) -> str:
     return _describe(matches, count)
 
 
-def _others(judge: Judge, stage: str) -> list[_Answered]:
+def _others(judge: Judge, stage: str) -> list[_Answer]:
     """The port's answers to the largest cases of its test, and to cases that tell mistakes apart.
 
     The smallest failures have a pixel or two, in which many mistakes look alike.
     """
-    answers = [_answered(judge, case, got) for case, got in judge.answered if case.stage == stage]
+    answers = [_compare(judge, case, got) for case, got in judge.answered if case.stage == stage]
     for make in _telling_cases(stage):
         inputs = make(np.random.default_rng(0))
         case = judge.make_case(stage, *(inputs if STAGES[stage].weights else (inputs,)))
         try:
-            answers.append(_answered(judge, case, judge.run(case.stage, case.inputs, case.weights)))
+            answers.append(_compare(judge, case, judge.run(case.stage, case.inputs, case.weights)))
         except DepartureError:
             continue  # an answer of another shape, or none: nothing to compare
     return answers
@@ -111,21 +111,21 @@ def _telling_cases(stage: str) -> Sequence[Callable[[np.random.Generator], Any]]
     return large_inputs(stage, 1)
 
 
-def _again(judge: Judge, finding: Finding) -> _Answered | None:
+def _again(judge: Judge, finding: Finding) -> _Answer | None:
     """A failure, computed again; None if no answer of it is wrong by itself."""
     case = finding.case
     if finding.expected is None:
         return None
     try:
-        answer = _answered(judge, case, judge.run(case.stage, case.inputs, case.weights))
+        answer = _compare(judge, case, judge.run(case.stage, case.inputs, case.weights))
     except DepartureError:
         return None
     return answer if any(wrong.any() for wrong in answer.wrong.values()) else None
 
 
-def _answered(judge: Judge, case: Case, got: Outputs) -> _Answered:
+def _compare(judge: Judge, case: Case, got: Outputs) -> _Answer:
     right = judge.right(case.stage, case.inputs, case.weights, got)
-    return _Answered(case, got, {name: expected.closer(got[name]) for name, expected in right.items()})
+    return _Answer(case, got, {name: expected.closer(got[name]) for name, expected in right.items()})
 
 
 def suspects(stage: str) -> tuple[Mistake, ...]:
@@ -144,7 +144,7 @@ def planted_port(mistake: Mistake) -> Variant:
     return mistake.port()
 
 
-def _distance(mistake: Mistake, answered: _Answered) -> float:
+def _distance(mistake: Mistake, answered: _Answer) -> float:
     """How far a port's wrong numbers are from a mistake's, as a part of their distance from the truth; infinite: it does not explain them.
 
     It explains them if its own numbers are wrong there, too, and nearer to the port's than the truth is; and if it gives the port's

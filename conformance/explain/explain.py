@@ -28,7 +28,7 @@ def explain(judge: Judge, body: Body) -> Failure:
     """
     failed: list[str] = []
 
-    def tried(part: Callable[[], T], instead: T) -> T:
+    def attempt(part: Callable[[], T], instead: T) -> T:
         # Ports, and mistakes on unforeseen cases, raise any error: a failure is reported with or without its explanation.
         try:
             return part()
@@ -39,15 +39,15 @@ def explain(judge: Judge, body: Body) -> Failure:
     record, smallest = judge.record, judge.failure()
     first = record.first or smallest
     judge.record = Record()
-    failure = tried(lambda: confirm(judge, body, smallest, first), smallest)
+    failure = attempt(lambda: confirm(judge, body, smallest, first), smallest)
     words = [record.about]
     # An answer that a case alone does not repeat cannot be computed again.
     if not failure.before and UNSTABLE not in failure.finding.message:
         words += [
-            tried(lambda: first_departure(judge, failure.finding), ""),
-            tried(lambda: diagnose(judge, [first.finding, failure.finding, *record.wrong]), ""),
+            attempt(lambda: first_departure(judge, failure.finding), ""),
+            attempt(lambda: diagnose(judge, [first.finding, failure.finding, *record.wrong]), ""),
         ]
     judge.record = record
-    terms = tried(lambda: terms_at_worst(failure.finding), ())
+    terms = attempt(lambda: terms_at_worst(failure.finding), ())
     message = "; ".join(filter(None, [failure.finding.message, *words, *failed]))
     return replace(failure, finding=replace(failure.finding, message=message, terms=terms))

@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 from conformance.answers.by_stage import expect
 from conformance.answers.expected import Expected, largest
 from conformance.answers.port_arithmetic import Arithmetic
-from conformance.answers.sums import expected_rounding, rounding
+from conformance.answers.sums import expect_rounding, rounding
 from conformance.answers.windows import expect_windows
 from conformance.judging.findings import MOST_WRONG, DepartureError, Failure, Finding, Record, WrongError, describe
 from conformance.judging.questions import BATCH, Answer, Dialogue, Question, Talk, answers_of, ask, repeat_questions
 from conformance.protocol.port import Abilities, Arrays, Case, Outputs, Port, PortError, abilities_of
 from conformance.protocol.stages import STAGES, check_inputs, check_outputs, network_inputs, reference
-from conformance.protocol.weights_file import shuffled
+from conformance.protocol.weights_file import shuffle
 from stss_ref.arrays import ArrayError
 from stss_ref.weights import Weights
 
@@ -263,7 +263,7 @@ class Judge:
                 (3, {"hole_test": "footprint"}),
             ):
                 converted = replace(converted, **older) if self.weights_version < version else converted
-            self._weights[id(weights)] = weights, shuffled(converted)
+            self._weights[id(weights)] = weights, shuffle(converted)
         return self._weights[id(weights)][1]
 
     def round_inputs(self, arrays: Arrays, stage: str = "") -> dict[str, NDArray[Any]]:
@@ -338,7 +338,7 @@ class Judge:
         sums = want != 0
         terms = int(np.prod(weights[f"{layer}.weight"].shape[1:]))
         imbalance = rounding(got[sums], want[sums], terms, self.arithmetic)
-        self.holds(f"{stage}.rounding", imbalance, expected_rounding(self.arithmetic))
+        self.holds(f"{stage}.rounding", imbalance, expect_rounding(self.arithmetic))
 
     def agrees_in_windows(self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights | None = None) -> Talk:
         """Ask for a large frame, and compare a few windows of it; a wrong one is not compared with mistakes, which takes long."""

@@ -52,7 +52,7 @@ def serialise(weights: Weights) -> bytes:
     return len(header).to_bytes(8, "little") + header + b"".join(tensors[name] for name in names)
 
 
-def shuffled(weights: Weights) -> Weights:
+def shuffle(weights: Weights) -> Weights:
     """The same weights with the names in another order, for a port that gets them by name."""
     return replace(weights, tensors=_in_any_order(_generator(weights), dict(weights)))
 

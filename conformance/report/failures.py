@@ -37,7 +37,7 @@ from conformance.report.picture import draw, png
 from conformance.suite.properties import find_property
 from stss_ground.errors import InputError
 from stss_ground.output.folder import SUMS, move_aside, sums_below
-from stss_ground.output.write_whole import encoded, make_folder, tell_errors, write_whole
+from stss_ground.output.write_whole import encode, make_folder, tell_errors, write_whole
 
 Write = Callable[[Path, Case], None]
 """Writes a case into a job's folder."""
@@ -94,7 +94,7 @@ def _write_failure(folder: Path, finding: Finding, again: str, write: Write) -> 
         _write_right(folder / CASE, finding.output, finding.got, finding.expected)
         parts.append(_write_picture(folder / "picture.png", finding.got, finding.expected))
     parts.append(f"Run it again:\n  {again}\n")
-    write_whole(folder / "README.txt", encoded("\n\n".join(filter(None, parts))))
+    write_whole(folder / "README.txt", encode("\n\n".join(filter(None, parts))))
 
 
 def _write_picture(path: Path, got: NDArray[Any], expected: Expected) -> str:

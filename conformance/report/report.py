@@ -147,7 +147,7 @@ def judged_on(judge: Judge, results: Sequence[TestResult]) -> list[str]:
         if max(largest):
             sizes.setdefault(largest, []).append(stage)
     lines = [f"largest height {height}, largest width {width}: {', '.join(names)}" for (height, width), names in sizes.items()]
-    return [*lines, *_declared(judge), *_left_to_full(judge, [stage for some in sizes.values() for stage in some])]
+    return [*lines, *_list_refused(judge), *_left_to_full(judge, [stage for some in sizes.values() for stage in some])]
 
 
 def _left_to_full(judge: Judge, stages: Sequence[str]) -> list[str]:
@@ -162,7 +162,7 @@ def _left_to_full(judge: Judge, stages: Sequence[str]) -> list[str]:
     return [f"not judged at {height} x {width}, as --tier full does: {', '.join(smaller)}"] if smaller else []
 
 
-def _declared(judge: Judge) -> list[str]:
+def _list_refused(judge: Judge) -> list[str]:
     """The inputs that the port does not take, in words."""
     version = judge.weights_version
     old = [f"weights up to version {version} only, as the port declares"] if str(version) != VERSIONS[-1] else []
@@ -211,7 +211,7 @@ def write_page(path: Path, judge: Judge, results: Sequence[TestResult], folders:
         InputError: the file cannot be written.
     """
     arithmetic = judge.arithmetic.dtype + (", Winograd" if judge.arithmetic.winograd else "")
-    arithmetic = "; ".join([arithmetic, *_declared(judge)])
+    arithmetic = "; ".join([arithmetic, *_list_refused(judge)])
     counts = tally([r.record for r in results])
     verdict = "passes" if passed(results) else "departs from the specification"
     verdict = "was not judged" if JUDGED in {r.id for r in results} else verdict

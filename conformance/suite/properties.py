@@ -35,7 +35,7 @@ def cases(strategy: st.SearchStrategy[Any], *, slow: bool = False) -> Callable[[
     return _test_on(DrawnCases(strategy, slow=slow))
 
 
-def made_cases(
+def cases_of(
     makers: Makers | Callable[[Judge], Makers], *, about: Callable[[Maker], str] = lambda _: ""
 ) -> Callable[[Body], Test]:
     """Make a test of a property on a few cases that are made: see `MadeCases`."""
@@ -47,7 +47,7 @@ def _test_on(source: DrawnCases | MadeCases) -> Callable[[Body], Test]:
         @wraps(body)
         def test(judge: Judge) -> None:
             __tracebackhide__ = True
-            with _confirmed(judge, body):
+            with _confirm_failures(judge, body):
                 source.check(judge, body)
 
         # pytest looks for fixtures in the signature, and the case is no fixture.
@@ -84,7 +84,7 @@ def _agrees(
         yield from judge.agrees(stage, *(case if STAGES[stage].weights else (case,)))
 
     body.__doc__ = words
-    return made_cases(makers, about=about)(body)
+    return cases_of(makers, about=about)(body)
 
 
 def agrees_in_windows(stage: str) -> Test:
@@ -94,7 +94,7 @@ def agrees_in_windows(stage: str) -> Test:
         """A frame of 720 x 1280 or 1080 x 1920 agrees, too, around the corners of tiles, and in its last rows."""
         yield from judge.agrees_in_windows(stage, *(case if STAGES[stage].weights else (case,)))
 
-    return made_cases(lambda judge: user_inputs(stage, judge.tier.large, judge.largest_side))(body)
+    return cases_of(lambda judge: user_inputs(stage, judge.tier.large, judge.largest_side))(body)
 
 
 def same_twice(stage: str, decorate: Callable[[Body], Test]) -> Test:
@@ -124,7 +124,7 @@ def keeps_nothing_by_a_part(stage: str) -> Test:
             judge.compare(stage, inputs, weights, outputs)
         judge.record.about = ""
 
-    return made_cases([alike_calls(stage)])(body)
+    return cases_of([alike_calls(stage)])(body)
 
 
 def agrees_exactly(stage: str, size: st.SearchStrategy[Size]) -> Test:
@@ -148,7 +148,7 @@ def rounds_either_way(stage: str, output: str) -> Test:
 
 
 @contextmanager
-def _confirmed(judge: Judge, body: Body) -> Generator[None]:
+def _confirm_failures(judge: Judge, body: Body) -> Generator[None]:
     """Run a failure again before reporting it."""
     __tracebackhide__ = True
     try:

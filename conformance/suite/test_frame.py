@@ -14,8 +14,8 @@ from conformance.suite.properties import (
     agrees_on_constants,
     agrees_on_engines,
     cases,
+    cases_of,
     keeps_nothing_by_a_part,
-    made_cases,
     same_twice,
 )
 from stss_ref.weights import Weights
@@ -73,7 +73,7 @@ def test_a_rendered_frame_looks_for_no_other(judge: Judge, case: tuple[Inputs, W
 test_the_same_twice = same_twice("frame", cases(CASES, slow=True))
 
 
-@made_cases(frame_cases())
+@cases_of(frame_cases())
 def test_every_buffer_of_every_frame_counts(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """Images agree, too, on frames in which each stencil, normal, position and motion decides other pixels, at any steps."""
     yield from judge.agrees("frame", *case)

@@ -13,8 +13,8 @@ from conformance.suite.properties import (
     agrees_in_windows,
     agrees_on_engines,
     cases,
+    cases_of,
     keeps_nothing_by_a_part,
-    made_cases,
 )
 
 
@@ -46,7 +46,7 @@ def _almost_still(rng: np.random.Generator) -> Inputs:
     return {"motions": np.stack([little, rng.integers(1, 9, little.shape) / 4])}
 
 
-@made_cases([_almost_still])
+@cases_of([_almost_still])
 def test_a_motion_is_never_lost_in_a_sum(judge: Judge, inputs: Inputs) -> Talk:
     """A tiny motion to the left and up leads to the pixels there, however far the place is from the frame's corner (decision 13)."""
     yield from judge.agrees("motion_chain", inputs)

@@ -139,7 +139,7 @@ def check(
         )
     except MissingBuffersError as error:
         findings += [CheckFinding("error", text) for text in error.each]
-        findings.append(CheckFinding("note", f"channels: {error.found}"))
+        findings.append(CheckFinding("note", f"channels: {error.channels}"))
     except InputError as error:
         findings.append(CheckFinding("error", str(error)))
     order: dict[Level, int] = {"error": 0, "warning": 1, "note": 2}

@@ -205,7 +205,7 @@ class _Watch:
     def __init__(self, session: int, limit: float):
         self._session, self._limit, self._idle = session, limit, min(IDLE, limit)
         self._start = self._active = time.monotonic()
-        self._used = 0.0
+        self._seconds = 0.0
 
     def over(self) -> str:
         """The reason to end it; "" if it may go on."""
@@ -217,8 +217,8 @@ class _Watch:
             return ""
         if seconds > self._limit:
             return f"no answer within {self._limit:g} s of processor time"
-        if abs(seconds - self._used) > self._idle / 100:  # less: one of them ended
-            self._used, self._active = seconds, now
+        if abs(seconds - self._seconds) > self._idle / 100:  # less: one of them ended
+            self._seconds, self._active = seconds, now
         return f"no answer, and idle for {self._idle:g} s" if now - self._active > self._idle else ""
 
 

@@ -90,11 +90,11 @@ class OpenCLBackend:
         # Imported here, so that the OpenCL library is opened only by commands that use it.
         from stss.devices.selection import choose
         from stss.devices.trial import trial_for
-        from stss_cl.device.amx import emulated
+        from stss_cl.device.amx import why_emulated
         from stss_cl.skip.stream import Stream
 
         device = choose(options.device, tell, trial=trial_for(weights))
-        if options.precision == "bfloat16" and (why := emulated(device)):
+        if options.precision == "bfloat16" and (why := why_emulated(device)):
             tell(f"bfloat16: {why}; emulated, which is slow")
         self._stream = Stream(weights, device, options.precision, memory_limit=options.memory_limit, skip=options.skip)
         role = "" if device.kind.lower() == device.device_class else f" as {device.device_class}"

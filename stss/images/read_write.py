@@ -10,7 +10,7 @@ import numpy as np
 
 from stss.images.encode import encode_exr, encode_png, require_finite
 from stss.images.headers import Header, Value, last_error, locate, open_image, read_header
-from stss.images.windows import PixelWindow, moved
+from stss.images.windows import PixelWindow, move
 from stss_ground.arguments import listing, suggest
 from stss_ground.errors import InputError
 from stss_ground.output.write_whole import write_whole
@@ -57,14 +57,14 @@ def read_channels(path: Path, names: Sequence[str], window: PixelWindow | None =
                     values = pixels[..., places[name][1] - first]
                     if kind == "uint16":  # OpenImageIO multiplies: some levels come a little low
                         values = values / 65535
-                    values = moved(values, data, window or header.display)
+                    values = move(values, data, window or header.display)
                     planes[name] = _quiet(np.ascontiguousarray(values, dtype=np.float32))
-                    if (bad := merged(values, planes[name])) is not None:
+                    if (bad := merge(values, planes[name])) is not None:
                         raise InputError(f"{path}: channel {name}: {bad}")
     return {name: planes[name] for name in names}
 
 
-def merged(values: Array, plane: Plane) -> str | None:
+def merge(values: Array, plane: Plane) -> str | None:
     """The fault where whole numbers (H, W) do not fit into 32-bit floats: two objects would have one number."""
     if not values.size or values.max() <= WHOLE:
         return None

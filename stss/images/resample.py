@@ -43,7 +43,7 @@ def _lanczos_weights(n: int, offset: float) -> Array:
     return w / w.sum(axis=1, keepdims=True)
 
 
-def enlarged(x: NDArray[Scalar]) -> NDArray[Scalar]:
+def enlarge(x: NDArray[Scalar]) -> NDArray[Scalar]:
     """Repeat each pixel of an (H, W, ...) array two times each way: (2H, 2W, ...)."""
     return x.repeat(2, axis=0).repeat(2, axis=1)
 

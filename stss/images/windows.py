@@ -60,7 +60,7 @@ def union(windows: Iterable[PixelWindow]) -> PixelWindow:
     return PixelWindow(x, y, max(w.x + w.width for w in parts) - x, max(w.y + w.height for w in parts) - y)
 
 
-def moved(plane: NDArray[Scalar], window: PixelWindow, to: PixelWindow) -> NDArray[Scalar]:
+def move(plane: NDArray[Scalar], window: PixelWindow, to: PixelWindow) -> NDArray[Scalar]:
     """An array (H, W, ...) of ``window`` as an array of ``to``, 0 outside ``window``; the same array if the windows are equal."""
     if window == to:
         return plane

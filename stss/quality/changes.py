@@ -7,7 +7,7 @@ import numpy as np
 
 from stss.frames.display_frame import DisplayFrame, prepare
 from stss.images.color import transfer
-from stss.images.resample import enlarged
+from stss.images.resample import enlarge
 from stss.sequence.reader import Sequence
 from stss_ref.arrays import Image, Mask
 from stss_ref.holes import holes
@@ -84,5 +84,5 @@ def display_motion(before: DisplayFrame, now: DisplayFrame) -> tuple[Image, Mask
         nov=now.nov,
         depth=now.gbuffer[..., 3],
     )
-    motion = enlarged(2 * now.motion)
-    return motion, enlarged(valid) & leads_inside(follow(motion))
+    motion = enlarge(2 * now.motion)
+    return motion, enlarge(valid) & leads_inside(follow(motion))

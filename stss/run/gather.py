@@ -16,7 +16,7 @@ from stss.images.headers import read_header
 from stss.run.job import folder_of
 from stss_ground.errors import InputError
 from stss_ground.output.folder import MOST_BYTES, SUMS, OutputFolder, digest_of
-from stss_ground.output.lock import locked
+from stss_ground.output.lock import hold_lock
 from stss_ground.output.places import require_places
 from stss_ground.output.write_whole import remove_unfinished, sync_folder, tell_errors, write_whole
 from stss_ground.progress import Track
@@ -94,7 +94,7 @@ def gather(
         with tell_errors(source):
             inputs += [path for path in source.iterdir() if path.is_file()]
     require_places(folders=[target], inputs=inputs)
-    with locked(parts), target.open(refusal=None):
+    with hold_lock(parts), target.open(refusal=None):
         remove_unfinished(parts)
         sums, lists = _check_parts(folders, target, before, track)
         if not overwrite:

@@ -123,7 +123,7 @@ class MissingBuffersError(InputError):
 
     Attributes:
         each: for each buffer its names, advice, and a channel of a like name.
-        found: the channels of the files.
+        channels: those of the files.
     """
 
     def __init__(
@@ -133,8 +133,8 @@ class MissingBuffersError(InputError):
         free = {*there} - {name for source in sources.values() for name in source.names}
         self.each = tuple(_missing_buffer(profile, buffer, free) for buffer in buffers)
         more = f"; no {', '.join(buffers[EXPLAINED:])} either: stss check explains each" if len(buffers) > EXPLAINED else ""
-        self.found = listing(there) or "nothing"
-        super().__init__(f"{where}: {'; '.join(self.each[:EXPLAINED])}{more}; found {self.found}")
+        self.channels = listing(there) or "nothing"
+        super().__init__(f"{where}: {'; '.join(self.each[:EXPLAINED])}{more}; found {self.channels}")
 
 
 def _missing_buffer(profile: Profile, buffer: str, free: Collection[str]) -> str:

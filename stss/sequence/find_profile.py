@@ -81,9 +81,9 @@ def require_fit(path: Path, profile: Profile, sources: Mapping[str, Source]) -> 
         return
     count = len(find_sources(_first_headers(find_frames(path, other.endings)), other))
     if count > len(sources):
-        found = ", ".join(sources) or "no buffer"
+        names = ", ".join(sources) or "no buffer"
         raise InputError(
-            f"{path}: profile {profile.name} finds {found}; profile {other.name} finds {count} of {len(BUFFERS)} buffers"
+            f"{path}: profile {profile.name} finds {names}; profile {other.name} finds {count} of {len(BUFFERS)} buffers"
         )
 
 

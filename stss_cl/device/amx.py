@@ -40,7 +40,7 @@ def are_used(device: Device) -> bool:
     return not missing(device) and are_right(device, "amx", lambda: product_is_right(device, emulate=False))
 
 
-def emulated(device: Device) -> str:
+def why_emulated(device: Device) -> str:
     """The reason why products of bfloat16 are emulated; "" if they are not."""
     return missing(device) or ("" if are_used(device) else "a product of its matrix units (AMX) was wrong, or did not build")
 

@@ -13,7 +13,7 @@ import pyopencl.array as cla
 from numpy.typing import NDArray
 
 from stss_cl.device.discovery import Device
-from stss_cl.device.parts import Parts, zeroed
+from stss_cl.device.parts import Parts, make_zeros
 from stss_cl.device.staging import so_far, staging
 from stss_ref.arrays import Array, ArrayError, require_dtype
 
@@ -96,12 +96,12 @@ def map_bytes(height: int, width: int, images: int = 1) -> int:
     return images * (-(-height // 4) * 4) * (-(-width // 4) * 4) + 64
 
 
-def padded(
+def pad(
     device: Device, height: int, width: int, channels: int, dtype: np.dtype[Any], images: int = 1, changes: bool = False
 ) -> Padded:
     """Allocate activations of zeros. ``changes``: with a change map, in which nothing is marked."""
-    data = zeroed(device, padded_bytes(height, width, channels, dtype, images))
-    marks = zeroed(device, map_bytes(height, width, images)) if changes else None
+    data = make_zeros(device, padded_bytes(height, width, channels, dtype, images))
+    marks = make_zeros(device, map_bytes(height, width, images)) if changes else None
     return Padded(data, height, width, channels, dtype, images, marks)
 
 
@@ -127,9 +127,9 @@ class Inputs:
 def inputs_for(device: Device, rows: int, columns: int, dtype: np.dtype[Any], changes: bool = False) -> Inputs:
     """Allocate the network's inputs for (rows, columns), multiples of 8: a frame, or a strip of it; with change maps or without."""
     images = (
-        padded(device, rows, columns, 24, dtype),
-        padded(device, rows, columns, 4, dtype, images=3),
-        padded(device, rows // 8, columns // 8, 16, dtype),
+        pad(device, rows, columns, 24, dtype),
+        pad(device, rows, columns, 4, dtype, images=3),
+        pad(device, rows // 8, columns // 8, 16, dtype),
     )
     base = cl.Buffer(device.context, FLAGS.READ_WRITE, rows * columns * 16)
     maps = Parts(device, [map_bytes(image.height, image.width, image.images) for image in images]) if changes else None

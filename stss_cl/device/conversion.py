@@ -21,7 +21,7 @@ LARGEST = 65504.0
 """Half's largest number; larger numbers are stored as this one."""
 
 
-def stored_as(device: Device, dtype: np.dtype[Any]) -> dict[str, object]:
+def storage_options(device: Device, dtype: np.dtype[Any]) -> dict[str, object]:
     """The options of kernels (kernels/common.clh) for activations of this dtype."""
     kind = storage(dtype)
     if kind == "BFLOAT16":

@@ -20,7 +20,7 @@ FLAGS = cl.mem_flags
 HUGE_PAGE = 2 << 20
 
 
-def zeroed(device: Device, size: int) -> cl.Buffer:
+def make_zeros(device: Device, size: int) -> cl.Buffer:
     """Allocate ``size`` bytes of zeros; on a CPU in huge pages where the system has them: a frame's rows lie far apart."""
     if device.is_cpu and size >= HUGE_PAGE and hasattr(mmap, "MADV_HUGEPAGE"):
         memory = mmap.mmap(-1, whole_pages(size), flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
@@ -32,7 +32,7 @@ def zeroed(device: Device, size: int) -> cl.Buffer:
 
 
 def whole_pages(size: int) -> int:
-    """Most bytes that ``zeroed`` allocates for ``size`` bytes."""
+    """Most bytes that ``make_zeros`` allocates for ``size`` bytes."""
     return size if size < HUGE_PAGE else -(-size // HUGE_PAGE) * HUGE_PAGE
 
 
@@ -49,7 +49,7 @@ class Parts:
         align = max(int(device.handle.mem_base_addr_align) // 8, 16)
         self._device, self._sizes = device, tuple(sizes)
         self.firsts = tuple(accumulate((ceil_div(size, align) * align for size in sizes), initial=0))
-        self.whole = zeroed(device, max(self.firsts[-1], align))
+        self.whole = make_zeros(device, max(self.firsts[-1], align))
         self.buffers = tuple(self.whole.get_sub_region(first, size) for first, size in self._places())
 
     def clear(self) -> None:

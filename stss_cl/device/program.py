@@ -124,11 +124,11 @@ def _build(device: Device, file: str, options: str) -> Program:
     try:
         with warnings.catch_warnings(), _our_options_alone():
             if "PYOPENCL_COMPILER_OUTPUT" in os.environ:
-                return _stored_or_built(device, text, options)
+                return _load_or_build(device, text, options)
             # Not only faults: Intel's compiler reports every kernel that it has vectorised.
             warnings.simplefilter("ignore", cl.CompilerWarning)
             # -w: PoCL's compiler writes "1 warning generated." straight to the terminal of stss run.
-            return _stored_or_built(device, text, f"{options} -w")
+            return _load_or_build(device, text, f"{options} -w")
     except cl.Error as error:
         log = str(error)
         raise DeviceError(f"kernels/{file} ({options}) does not build on {device.name}: {_fault(log, text)}", log) from None
@@ -145,7 +145,7 @@ def _our_options_alone() -> Generator[None]:
             os.environ["PYOPENCL_BUILD_OPTIONS"] = theirs
 
 
-def _stored_or_built(device: Device, text: str, options: str) -> Program:
+def _load_or_build(device: Device, text: str, options: str) -> Program:
     """Build a program; on platforms without a cache, from the binary that an earlier process stored."""
     if has_src_build_cache(device.handle):
         with suppress(cl.Error):

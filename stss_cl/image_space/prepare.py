@@ -12,11 +12,11 @@ import numpy as np
 import pyopencl as cl
 
 from stss_cl.device.buffers import Inputs, inputs_for
-from stss_cl.device.conversion import stored_as
+from stss_cl.device.conversion import storage_options
 from stss_cl.device.discovery import Device
 from stss_cl.device.grid import ceil_div, grid
 from stss_cl.device.launch import Arguments, Kernel, Launch
-from stss_cl.device.parts import zeroed
+from stss_cl.device.parts import make_zeros
 from stss_cl.device.program import Program, build, marking
 from stss_cl.image_space.frame_planes import MOST_STEPS, Source, Sources, check_steps, planes, upload
 from stss_cl.image_space.stages import hole_options, program
@@ -103,7 +103,7 @@ class Prepare:
         self.rows, self.columns = self.inputs.input.height, columns  # of a strip, if the frame is computed in strips
         self.mask = self._filled(height * width)
         self.dirty = self._filled(self.rows // 4 * (columns // 4), 1)
-        self._motions = zeroed(device, 3 * height * width * 8)
+        self._motions = make_zeros(device, 3 * height * width * 8)
         self._bad = self._filled(4 * len(FINITE))
         self.splat = self._filled(8 * (1 if self._reshades else height * width))
         self._samples = self._filled((height * width if self._reshades else 1) * 16)
@@ -123,7 +123,7 @@ class Prepare:
 
     def _make(self, *, marks: bool) -> _Launches:
         inputs, (height, width) = self.inputs, (self.height, self.width)
-        options = {**stored_as(self.device, inputs.input.dtype), **marking(self.device, marks)}
+        options = {**storage_options(self.device, inputs.input.dtype), **marking(self.device, marks)}
         gather = {"GATHER": f"gather_{self._gather}", "LONGEST": self._gather == "longest", "EIGHT_PIXELS": self.device.is_cpu}
         frame_options = {
             **gather,

@@ -10,7 +10,7 @@ import pyopencl as cl
 
 from stss_cl.device import amx, matrix_units
 from stss_cl.device.buffers import Padded, constant, storage
-from stss_cl.device.conversion import stored_as
+from stss_cl.device.conversion import storage_options
 from stss_cl.device.discovery import Device
 from stss_cl.device.grid import ceil_div, list_size
 from stss_cl.device.tuning import tuning_for
@@ -150,7 +150,7 @@ def _source(
         **({"OUT_CHANNELS": out.channels} if "SIDE" in shape.options else {}),
         "GATED": packed.gate_direct is not None,
         "RELU": relu,
-        **stored_as(device, out.dtype),
+        **storage_options(device, out.dtype),
     }
     return KernelSource(
         shape.file,

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from stss_cl.device.buffers import BFLOAT16, Inputs, Padded, map_bytes, padded
-from stss_cl.device.conversion import stored_as
+from stss_cl.device.buffers import BFLOAT16, Inputs, Padded, map_bytes, pad
+from stss_cl.device.conversion import storage_options
 from stss_cl.device.discovery import Device
 from stss_cl.device.grid import GROUP, list_size
 from stss_cl.device.launch import Arguments
@@ -59,7 +59,7 @@ class LayerBuilder:
         self._winograd = precision != "float32-direct"
         first = inputs.input, inputs.earlier, inputs.eighth
         tensors = [
-            padded(device, height // slot.divisor, width // slot.divisor, slot.channels, self._dtype, slot.images)
+            pad(device, height // slot.divisor, width // slot.divisor, slot.channels, self._dtype, slot.images)
             for slot in slots[len(first) :]
         ]
         self.maps = Parts(device, [map_bytes(each.height, each.width, each.images) for each in tensors]) if keep else None
@@ -109,7 +109,7 @@ class LayerBuilder:
         # Interpolation is not contracted, so that it has the reference's bits.
         flags = FAST if stage == "erm" else ""
         workers = 1 if self._device.is_cpu else workers
-        options = {**source.options, "WORKERS": workers, **stored_as(self._device, self._dtype)}
+        options = {**source.options, "WORKERS": workers, **storage_options(self._device, self._dtype)}
         source = KernelSource(source.file, source.kernel, options, flags)
         group = 1 if self._device.is_cpu else max(GROUP, workers)
         size = list_size(self._device, tiling.most, workers=workers, group=group)

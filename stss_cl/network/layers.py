@@ -13,7 +13,7 @@ from stss_cl.device.buffers import BFLOAT16, Outgoing, Padded, constant, incomin
 from stss_cl.device.discovery import Device
 from stss_cl.device.grid import ceil8, ceil_div
 from stss_cl.device.launch import enqueue
-from stss_cl.device.parts import zeroed
+from stss_cl.device.parts import make_zeros
 from stss_cl.device.tuning import tuning_for
 from stss_cl.liveness import Live, colors_read, drop_tiny, find_live
 from stss_cl.network.conv import Final
@@ -130,7 +130,7 @@ class Layers:
 
     def load(self) -> None:
         """Let the runtime load or compile all kernels, by launches over empty lists."""
-        none, self._strip = zeroed(self.device, 4), None
+        none, self._strip = make_zeros(self.device, 4), None
         for launch in self.launches:
             launch.load(self.device.queue, count=none)
 

@@ -9,7 +9,7 @@ import numpy as np
 import pyopencl as cl
 
 from stss_cl.device.buffers import FLAGS, Inputs
-from stss_cl.device.conversion import stored_as
+from stss_cl.device.conversion import storage_options
 from stss_cl.device.discovery import Device
 from stss_cl.device.grid import grid
 from stss_cl.device.launch import Kernel
@@ -22,7 +22,7 @@ class PackInputs:
 
     def __init__(self, device: Device, inputs: Inputs, height: int, width: int):
         self._device, self._inputs = device, inputs
-        options = stored_as(device, inputs.input.dtype)
+        options = storage_options(device, inputs.input.dtype)
         program = build(device, "encoder.cl", {**options, "STREAM": device.is_pocl_processor, "ROW_AT_ONCE": device.is_cpu})
         eighth = build(device, "downsample_8.cl", {"MASK": "float", **options, **marking(device, marks=False)}, FAST)
         self._bad = cl.Buffer(device.context, FLAGS.READ_WRITE | FLAGS.COPY_HOST_PTR, hostbuf=np.zeros(2, np.int32))

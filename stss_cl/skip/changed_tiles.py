@@ -9,7 +9,7 @@ import pyopencl as cl
 
 from stss_cl.device.discovery import Device
 from stss_cl.device.launch import enqueue
-from stss_cl.device.parts import Parts, zeroed
+from stss_cl.device.parts import Parts, make_zeros
 from stss_cl.network.layer import LayerLaunch
 from stss_cl.network.tiles import TileList, find_tiles
 
@@ -30,7 +30,7 @@ class ChangedTiles:
         self._device, self._maps = device, maps
         self._counts = Parts(device, [4] * len(layers))
         # A list is needed only until its layer is done, and layers run one after the other: one buffer is enough.
-        numbers = zeroed(device, 4 * max(layer.tiling.most for layer in layers))
+        numbers = make_zeros(device, 4 * max(layer.tiling.most for layer in layers))
         lists = [TileList(numbers, count) for count in self._counts.buffers]
         self._finders = [
             find_tiles(device, layer.tiling, layer.reads, to) for layer, to in zip(layers, lists, strict=True) if layer.reads

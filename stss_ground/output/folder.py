@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from stss_ground.errors import InputError
-from stss_ground.output.lock import LOCK, locked
+from stss_ground.output.lock import LOCK, hold_lock
 from stss_ground.output.write_whole import (
     UNFINISHED,
     make_folder,
@@ -100,7 +100,7 @@ class OutputFolder:
             InputError: another process has the lock, the folder can't be written to, or it holds files that it may not.
         """
         make_folder(self.path)
-        with locked(self.path):
+        with hold_lock(self.path):
             with tell_errors(self.path):
                 self._claim(refusal)
             write_whole(self.path / SUMS, self._lines())
@@ -181,7 +181,7 @@ class OutputFolder:
         Raises:
             InputError: another process has the lock, or a file can't be removed.
         """
-        with locked(self.path), tell_errors(self.path):
+        with hold_lock(self.path), tell_errors(self.path):
             self._sums = self._read()
             self._tidy()
             for name in [name for name in self._sums if self._digest(name) == elsewhere.get(name)]:

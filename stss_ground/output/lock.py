@@ -30,7 +30,7 @@ _MOST_BYTES = 1024
 
 
 @contextmanager
-def locked(folder: Path) -> Generator[None, None, None]:
+def hold_lock(folder: Path) -> Generator[None, None, None]:
     """Lock ``folder`` against other processes that write to it.
 
     The system releases the lock when the process ends, however it ends. On a file system without locks (some network file systems) only

@@ -44,7 +44,7 @@ def write_named(path: Path, data: bytes | str) -> None:
     Raises:
         InputError: it can't be written.
     """
-    data = encoded(data) if isinstance(data, str) else data
+    data = encode(data) if isinstance(data, str) else data
     with tell_errors(path):
         if path.exists() and not path.is_file() and not path.is_dir():
             with path.open("wb") as file:
@@ -65,7 +65,7 @@ def remove_unfinished(folder: Path) -> None:
                 path.unlink(missing_ok=True)
 
 
-def encoded(text: str) -> bytes:
+def encode(text: str) -> bytes:
     """Text as UTF-8, even text of a stranger's program: half of a surrogate pair becomes its escape."""
     return text.encode(errors="backslashreplace")
 

@@ -71,7 +71,7 @@ def exact(inputs: Arrays) -> Inputs:
     return {name: array.astype(np.float64) if array.dtype.kind == "f" else array for name, array in inputs.items()}
 
 
-def scaled(stage: str, inputs: Arrays, by: float) -> Inputs:
+def scale(stage: str, inputs: Arrays, by: float) -> Inputs:
     """Inputs ``by`` times as large, rounded to float32, except those in `UNSCALED`. Motion is scaled only where it is the only input."""
     unscaled = (*UNSCALED, "motion") if stage != "motion_chain" else UNSCALED
     result = {n: a if n in unscaled or a.dtype.kind != "f" else (a * float(by)).astype(np.float32) for n, a in inputs.items()}
@@ -80,6 +80,6 @@ def scaled(stage: str, inputs: Arrays, by: float) -> Inputs:
     return result
 
 
-def scaled_weights(weights: Weights, by: float) -> Weights:
+def scale_weights(weights: Weights, by: float) -> Weights:
     """All tensors, ``by`` times as large."""
     return weights | {n: (w * np.float32(by)).astype(np.float32) for n, w in weights.items()}

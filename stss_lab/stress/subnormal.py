@@ -10,7 +10,7 @@ import time
 
 from conformance.protocol.port import Arrays
 from stss_lab.stress.engines import IMAGE, Engine
-from stss_lab.stress.inputs import frame_noise, image_noise, scaled
+from stss_lab.stress.inputs import frame_noise, image_noise, scale
 from stss_lab.stress.table import StressPlan, StressTable
 from stss_ref.weights import Weights
 
@@ -45,7 +45,7 @@ def subnormal(plan: StressPlan) -> StressTable:
 
 
 def _times(engine: Engine, stage: str, inputs: Arrays, weights: Weights) -> list[float]:
-    seconds = [_seconds(engine, stage, scaled(stage, inputs, light), weights) for light in LIGHT]
+    seconds = [_seconds(engine, stage, scale(stage, inputs, light), weights) for light in LIGHT]
     return [each / seconds[0] for each in seconds]
 
 

@@ -16,8 +16,8 @@ from stss_lab.stress.inputs import (
     exact,
     frame_noise,
     image_noise,
-    scaled,
-    scaled_weights,
+    scale,
+    scale_weights,
     stage_inputs,
 )
 from stss_lab.stress.table import Cell, StressPlan, StressTable, in_units, relative_error, short
@@ -65,7 +65,7 @@ def magnitude(plan: StressPlan) -> StressTable:
 
     def points(seed: int, by: float) -> Iterator[Point]:
         for stage, inputs in inputs_of[seed].items():
-            yield stage, scaled(stage, inputs, by), weights[seed]
+            yield stage, scale(stage, inputs, by), weights[seed]
 
     return _sweep(plan, "magnitude", "Inputs times", MAGNITUDES, points)
 
@@ -74,7 +74,7 @@ def weight_scale(plan: StressPlan) -> StressTable:
     """All weights and biases, scaled up or down."""
 
     def points(seed: int, by: float) -> Iterator[Point]:
-        weights = scaled_weights(plan.weights_of(seed), by)
+        weights = scale_weights(plan.weights_of(seed), by)
         for stage, inputs in stage_inputs(seed, *plan.size, weights).items():
             yield stage, inputs, weights
 
@@ -139,7 +139,7 @@ def overflow(plan: StressPlan) -> StressTable:
     for by in (1.0, 1e2, 1e3, 1e4, 1e5, 1e6):
         largest, errors = 0.0, [0.0] * len(plan.engines)
         for seed in range(plan.seeds):
-            inputs, weights = scaled("network", frame_noise(seed, *plan.size), by), plan.weights_of(seed)
+            inputs, weights = scale("network", frame_noise(seed, *plan.size), by), plan.weights_of(seed)
             features = features_of(exact(inputs), weights)
             truth = {"image": features["image"]}
             largest = max(largest, *(float(np.abs(array).max()) for array in features.values()))

@@ -11,7 +11,7 @@ import numpy as np
 import pyopencl as cl
 
 from conformance.tolerance import ratio
-from stss_cl.device.buffers import padded, read, write
+from stss_cl.device.buffers import pad, read, write
 from stss_cl.device.discovery import Device, DeviceError, Properties
 from stss_cl.device.grid import ceil8
 from stss_cl.device.launch import Launch
@@ -153,10 +153,10 @@ class _Layer:
         self._device, self._shape, self._packed = device, shape, packed
         random = np.random.default_rng(1)
         inputs = size[0] * shape.stride, size[1] * shape.stride
-        self._inputs = [padded(device, *inputs, n, np.dtype(np.float32)) for n in (shape.a, shape.b) if n]
+        self._inputs = [pad(device, *inputs, n, np.dtype(np.float32)) for n in (shape.a, shape.b) if n]
         for buffer in self._inputs:
             write(device, buffer, random.random((*inputs, buffer.channels), dtype=np.float32))
-        self._out = padded(device, *size, shape.outputs, np.dtype(np.float32))
+        self._out = pad(device, *size, shape.outputs, np.dtype(np.float32))
         self._nowhere = np.full((*size, shape.outputs), np.nan, np.float32)
 
     def launch(self, sizes: Sizes) -> Launch:

@@ -11,7 +11,7 @@ from stss.devices import selection
 from stss.frames.backends import open_backend
 from stss.frames.compute_options import ComputeOptions
 from stss_cl.device import amx
-from stss_cl.device.buffers import BFLOAT16, from_bfloat16, padded, read, to_bfloat16, write
+from stss_cl.device.buffers import BFLOAT16, from_bfloat16, pad, read, to_bfloat16, write
 from stss_cl.device.discovery import Properties
 from stss_cl.network import layers
 from stss_cl.network.conv import ConvSpec, conv
@@ -79,10 +79,10 @@ def test_a_layer_has_the_bits_of_the_units(processor, unoptimised, units, layer)
     size, a, b, outputs, gated, stride = layer
     random = np.random.default_rng(0)
     packed = pack(tensors(random, "layer", a + b, outputs, gated), "layer", tuple((n, n) for n in (a, b) if n))
-    inputs = [padded(processor, size[0] * stride, size[1] * stride, n, BFLOAT16) for n in (a, b) if n]
+    inputs = [pad(processor, size[0] * stride, size[1] * stride, n, BFLOAT16) for n in (a, b) if n]
     for buffer in inputs:
         write(processor, buffer, random.normal(size=(buffer.height, buffer.width, buffer.channels)))
-    out = padded(processor, *size, outputs, BFLOAT16)
+    out = pad(processor, *size, outputs, BFLOAT16)
     launch = conv(processor, ConvSpec("test", "layer", packed, stride), inputs[0], (*inputs, None)[1], out)
     assert launch.source.file == "conv_amx.cl"
     launch.enqueue(processor.queue)

@@ -8,7 +8,7 @@ import pytest
 
 from conformance.tolerance import worst
 from stss_cl.device import matrix_units
-from stss_cl.device.buffers import constant, padded, read, write
+from stss_cl.device.buffers import constant, pad, read, write
 from stss_cl.device.discovery import open_device
 from stss_cl.device.tuning import Direct, Local, Winograd, built_in, trial
 from stss_cl.network import layer as layer_module
@@ -53,10 +53,10 @@ class Case:
         arrays = tensors(random, "layer", self.a + self.b, self.outputs, self.gated)
         self.weights = {name: array.astype(HALF).astype(FLOAT) for name, array in arrays.items()}
         self.packed = pack(self.weights, "layer", tuple((n, n) for n in (self.a, self.b) if n))
-        self.inputs = [padded(device, *inputs, n, dtype) for n in (self.a, self.b) if n]
+        self.inputs = [pad(device, *inputs, n, dtype) for n in (self.a, self.b) if n]
         for buffer, first in zip(self.inputs, (0, self.a), strict=False):
             write(device, buffer, self.x[..., first : first + buffer.channels])
-        self.out = padded(device, *self.size, self.outputs, dtype, changes=True)
+        self.out = pad(device, *self.size, self.outputs, dtype, changes=True)
 
     def layer(self, local, side=4):
         return self.by(replace(built_in(self.device), winograd=None, local=local), side)
@@ -182,10 +182,10 @@ def test_tiles_of_a_list(device, processor, monkeypatch, layer, by_option, name,
 def test_three_images_in_one_launch(device, local):
     """Into channels: the same bits as one after the other."""
     case, outputs = Case(device, ((5, 19), 24, 0, 24, True, 1), HALF), []
-    inputs = padded(device, *case.size, 24, HALF, images=3)
+    inputs = pad(device, *case.size, 24, HALF, images=3)
     write(device, inputs, np.random.default_rng(1).random((3, *case.size, 24)))
     for images in ((None,), range(3)):
-        out = padded(device, *case.size, 72, HALF)
+        out = pad(device, *case.size, 72, HALF)
         with trial(replace(built_in(device), winograd=None, local=local)):
             for image in images:
                 first = 24 * (image or 0)

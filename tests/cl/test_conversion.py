@@ -20,20 +20,20 @@ def test_the_processors_instructions_give_the_same_bits(processor):
     if not conversion.instructions(processor):
         pytest.skip("the processor, or its compiler, has no instructions that convert half (x86-64's F16C)")
     assert conversion.conversions_are_right(processor, "X86")
-    assert conversion.stored_as(processor, HALF) == {"STORED": "HALF", "CONVERTS": "X86"}
+    assert conversion.storage_options(processor, HALF) == {"STORED": "HALF", "CONVERTS": "X86"}
 
 
 def test_the_kernels_of_gpus_on_a_processor_take_none(gpu):
     if gpu.is_gpu:
         pytest.skip("the device is a GPU")
-    assert conversion.stored_as(gpu, HALF) == {"STORED": "HALF", "CONVERTS": None}
+    assert conversion.storage_options(gpu, HALF) == {"STORED": "HALF", "CONVERTS": None}
 
 
 @pytest.mark.parametrize("dtype", [np.dtype(np.float32), BFLOAT16])
 def test_other_activations_do_not_ask(processor, monkeypatch, dtype):
     monkeypatch.setattr(conversion, "converts_half", None)
     monkeypatch.setattr(conversion.amx, "are_used", lambda _: False)
-    assert conversion.stored_as(processor, dtype)["CONVERTS"] is None
+    assert conversion.storage_options(processor, dtype)["CONVERTS"] is None
 
 
 @pytest.mark.parametrize("flags", [frozenset(), frozenset({"avx2"})])
@@ -59,5 +59,5 @@ def test_wrong_instructions_are_not_used(processor, monkeypatch, wrong):
     monkeypatch.setattr(conversion, "conversions_are_right", try_them)
     opened = anew(processor)
     assert not conversion.converts_half(opened)
-    assert conversion.stored_as(opened, HALF)["CONVERTS"] is None
+    assert conversion.storage_options(opened, HALF)["CONVERTS"] is None
     assert tries == (["X86"] if processor.is_pocl_processor else [])

@@ -15,7 +15,7 @@ import pyopencl as cl
 import pytest
 
 from stss_cl.device import amx, matrix_units, program
-from stss_cl.device.buffers import padded, read, write
+from stss_cl.device.buffers import pad, read, write
 from stss_cl.device.discovery import open_device
 from stss_cl.device.tuning import BUILT_IN, built_in_rows, trial
 from stss_cl.image_space.stages import ImageStages
@@ -95,10 +95,10 @@ def matrix(device):
     for stride, size in ((1, (5, 33)), (2, (3, 7))):
         direct, gate = (random.normal(size=(3, 3, 16, n)).astype(np.float32) for n in (24, 1))
         packed = Packed(direct, gate, np.ones(24, np.float32), 0.5, 16)
-        inputs = [padded(device, stride * size[0], stride * size[1], 8, dtype) for _ in range(2)]
+        inputs = [pad(device, stride * size[0], stride * size[1], 8, dtype) for _ in range(2)]
         for buffer in inputs:
             write(device, buffer, random.random((buffer.height, buffer.width, 8), np.float32))
-        out = padded(device, *size, 24, dtype)
+        out = pad(device, *size, 24, dtype)
         with trial(built_in_rows(BUILT_IN).classes["nvidia"]), matrix_units.trial(True):
             conv(device, ConvSpec("test", "layer", packed, stride), *inputs, out).enqueue(device.queue)
         yield read(device, out)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from conformance.cases.planes import SEEDS, sizes
 from conformance.tolerance import ratio, sum_bound, worst
-from stss_cl.device.buffers import constant, padded, read, write
+from stss_cl.device.buffers import constant, pad, read, write
 from stss_cl.device.program import FLUSH, source
 from stss_cl.device.tuning import BUILT_IN, Winograd, built_in_rows, trial
 from stss_cl.liveness import drop_tiny, is_tiny
@@ -132,8 +132,8 @@ def test_all_convolutions_are_the_references(processor, size, channels, gated, r
     x = random.random((stride * size[0], stride * size[1], first + second), dtype=np.float32)
     weights = tensors(random, "layer", first + second, outputs, gated)
     packed = pack(weights, "layer", tuple((n, n) for n in (first, second) if n))
-    inputs = [padded(processor, *x.shape[:2], n, np.dtype(np.float32)) for n in (first, second) if n]
-    out = padded(processor, *size, outputs, np.dtype(np.float32))
+    inputs = [pad(processor, *x.shape[:2], n, np.dtype(np.float32)) for n in (first, second) if n]
+    out = pad(processor, *size, outputs, np.dtype(np.float32))
     for buffer, channel in zip(inputs, (0, first), strict=False):
         write(processor, buffer, x[..., channel : channel + buffer.channels])
     for side in (0, 2, 4) if stride == 1 else (0, 2):
@@ -154,7 +154,7 @@ def test_rounding_stays_within_a_tile(processor, at, gated, stride, seed):
     random = np.random.default_rng(seed)
     packed = pack(tensors(random, "layer", 24, 24, gated), "layer", ((24, 24),))
     x = random.random((20, 24, 24), dtype=np.float32)
-    source, out = (padded(processor, 20 // n, 24 // n, 24, np.dtype(np.float32)) for n in (1, stride))
+    source, out = (pad(processor, 20 // n, 24 // n, 24, np.dtype(np.float32)) for n in (1, stride))
     far = np.abs(stride * np.stack(np.mgrid[: 20 // stride, : 24 // stride], -1) - at).max(axis=-1)
     for side in (0, 2, 4):
         images = []
@@ -361,7 +361,7 @@ def test_what_is_subnormal_is_0(processor, side):
     packed = pack(
         {"layer.weight": np.full((24, 24, 3, 3), 2.0**-60, np.float32), "layer.bias": np.zeros(24)}, "layer", ((24, 24),)
     )
-    x, out = (padded(processor, 8, 8, 24, np.dtype(np.float32)) for _ in range(2))
+    x, out = (pad(processor, 8, 8, 24, np.dtype(np.float32)) for _ in range(2))
     for value, is_zero in ((2.0**-70, True), (2.0**-50, False)):
         write(processor, x, np.where(np.arange(24) == 5, np.float32(value), np.zeros((8, 8, 24), np.float32)))
         conv(processor, ConvSpec("test", "layer", packed, side=side), x, None, out).enqueue(processor.queue)

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from stss_cl.device.buffers import map_bytes
 from stss_cl.device.grid import ceil_div
-from stss_cl.device.parts import zeroed
+from stss_cl.device.parts import make_zeros
 from stss_cl.network.tiles import Maps, TileList, Tiling, find_tiles
 
 READ = [((4, 4), 1, 0), ((4, 4), 1, -1), ((4, 4), 0, -1), ((4, 4), 2, 1), ((2, 2), 1, 0), ((4, 32), 1, 0), ((8, 64), 1, -1)]
@@ -26,13 +26,13 @@ def test_tiles_are_listed_that_marks_reach(device, read, count, images, fours_do
     for which, y, x in marked:
         maps[which % count, y % height, x % width] = 1
     arrays = [maps] if images else list(maps)
-    buffers = [zeroed(device, map_bytes(height, width, count)) for _ in arrays]
+    buffers = [make_zeros(device, map_bytes(height, width, count)) for _ in arrays]
     for buffer, array in zip(buffers, arrays, strict=True):  # what lies behind a map is not 0
         cl.enqueue_copy(device.queue, buffer, np.concatenate([array.ravel(), np.ones(64, np.uint8)]))
-    to = TileList(zeroed(device, 4 * tiling.most), zeroed(device, 4))
+    to = TileList(make_zeros(device, 4 * tiling.most), make_zeros(device, 4))
     find_tiles(device, tiling, Maps(tuple(buffers), height, width), to).enqueue(device.queue)
-    found, tiles = np.empty(1, np.int32), np.empty(tiling.most, np.uint32)
-    cl.enqueue_copy(device.queue, found, to.count)
+    count, tiles = np.empty(1, np.int32), np.empty(tiling.most, np.uint32)
+    cl.enqueue_copy(device.queue, count, to.count)
     cl.enqueue_copy(device.queue, tiles, to.tiles)
     four = 1 if device.is_cpu else 4  # pixels that count as one
     expected = [
@@ -42,4 +42,4 @@ def test_tiles_are_listed_that_marks_reach(device, read, count, images, fours_do
         if each[max(step[0] * y - before, 0) : step[0] * (y + 1) + beyond + 1,
                 max(step[1] * x - before, 0) // four * four : (step[1] * (x + 1) + beyond) // four * four + four].any()
     ]  # fmt: skip
-    assert sorted(tiles[: found[0]]) == expected
+    assert sorted(tiles[: count[0]]) == expected

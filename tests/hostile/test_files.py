@@ -24,7 +24,7 @@ from stss_ground.commands import Subcommand
 from stss_ground.errors import InputError
 from stss_ground.option_kinds import ReadName, ReadPath, WrittenFile, WrittenFolder
 from stss_ground.output.folder import SUMS, OutputFolder
-from stss_ground.output.lock import LOCK, locked
+from stss_ground.output.lock import LOCK, hold_lock
 from stss_ground.output.write_whole import write_named, write_whole
 from tests.app.conftest import PLAIN
 from tests.app.conftest import files as contents
@@ -453,12 +453,12 @@ def test_without_locks_the_file_is_the_lock(tmp_path, monkeypatch):
 
     monkeypatch.setattr("fcntl.flock", no_lock)
     with (
-        locked(tmp_path),
+        hold_lock(tmp_path),
         pytest.raises(InputError, match=r"writes there; if it ended long ago, remove .*\.stss-lock"),
-        locked(tmp_path),
+        hold_lock(tmp_path),
     ):
         pass
-    with locked(tmp_path):
+    with hold_lock(tmp_path):
         pass
     assert not (tmp_path / LOCK).exists()
 
@@ -471,7 +471,7 @@ def test_a_file_of_others_is_no_lock(tmp_path, how):
     mine.write_text("mine" if how == "text" else "process 1 on x since 2026\n")
     {"link": lock.symlink_to, "hard link": lock.hardlink_to, "text": lambda mine: shutil.copy(mine, lock)}[how](mine)
     before = contents(tmp_path)
-    with pytest.raises(InputError, match="expected the lock of a run, found something else"), locked(lock.parent):
+    with pytest.raises(InputError, match="expected the lock of a run, found something else"), hold_lock(lock.parent):
         pass
     assert contents(tmp_path) == before
 

@@ -255,11 +255,11 @@ def test_a_port_that_does_not_load_is_one_line(tmp_path, monkeypatch, source, wo
     monkeypatch.chdir(tmp_path)
     monkeypatch.delitem(sys.modules, "odd", raising=False)
     importlib.invalidate_caches()
-    with pytest.raises(InputError) as found:
+    with pytest.raises(InputError) as error:
         load_port("odd:P", None, 60)
-    assert words in str(found.value)
-    assert "odd:P: " in str(found.value)
-    assert "\n" not in str(found.value)
+    assert words in str(error.value)
+    assert "odd:P: " in str(error.value)
+    assert "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import pytest
 
 from conformance.answers import by_stage
 from conformance.cases.every_buffer import frame_cases
-from conformance.cases.stage_inputs import made_weights
+from conformance.cases.stage_inputs import make_weights
 from conformance.explain import diagnosis
 from conformance.explain.diagnosis import diagnose
 from conformance.judging.findings import DepartureError
@@ -133,7 +133,7 @@ def frames_of_every_kind():
     planes = "nov", "stencils"
     tiny = {n: a[..., :6, :7] if n in planes else a[..., :6, :7, :] for n, a in inputs.items() if n != "steps"}
     for steps, second, test in product(STEPS, ("newest", "detail"), ("footprint", "paper")):
-        yield {**tiny, "steps": np.array(steps, np.int32)}, made_weights("random", 0, second, test)
+        yield {**tiny, "steps": np.array(steps, np.int32)}, make_weights("random", 0, second, test)
 
 
 @pytest.mark.parametrize("stage", every(4, ["erm", "history", "encoder", "decoder"]))

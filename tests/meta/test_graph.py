@@ -228,26 +228,28 @@ class NumpyPort:
         return {name: values[name] for name in self.model.tensors}
 
 
-def plain(node, given):
-    return [result.x for result in compute(node, given, F32)]
+def plain(node, inputs):
+    return [result.x for result in compute(node, inputs, F32)]
 
 
 def attributes(**changes):
-    return lambda node, given, port: plain(replace(node, attributes={**node.attributes, **changes}), given)
+    return lambda node, inputs, port: plain(replace(node, attributes={**node.attributes, **changes}), inputs)
 
 
 def inputs(**changes):
     """``i1=lambda w: ...``: an input changed."""
-    return lambda node, given, port: plain(node, [changes[f"i{k}"](a) if f"i{k}" in changes else a for k, a in enumerate(given)])
+    return lambda node, inputs, port: plain(
+        node, [changes[f"i{k}"](a) if f"i{k}" in changes else a for k, a in enumerate(inputs)]
+    )
 
 
 def result(change):
-    return lambda node, given, port: [change(x) for x in plain(node, given)]
+    return lambda node, inputs, port: [change(x) for x in plain(node, inputs)]
 
 
-def stale(node, given, port):
-    made = plain(node, given)
-    before, port.last = port.last or made, made
+def stale(node, inputs, port):
+    outputs = plain(node, inputs)
+    before, port.last = port.last or outputs, outputs
     return before
 
 
@@ -255,8 +257,8 @@ def last_column(x):
     return np.concatenate([x[..., :-1], x[..., -2:-1]], -1)
 
 
-def half_sums(node, given, port):
-    x = plain(node, given)[0]
+def half_sums(node, inputs, port):
+    x = plain(node, inputs)[0]
     return [x + (np.abs(x).max() * 2.0**-10) * np.sin(np.arange(x.size)).reshape(x.shape)]
 
 
@@ -450,8 +452,8 @@ class Keeps(Port):
         self.calls = 0
     def run(self, inputs):
         self.calls += 1
-        made = super().run(inputs)
-        return {"y/1": made["y/1"] + (self.calls == 3)}
+        outputs = super().run(inputs)
+        return {"y/1": outputs["y/1"] + (self.calls == 3)}
 """
 
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from conformance.cases.large_inputs import network_case
-from conformance.cases.stage_inputs import made_weights
+from conformance.cases.stage_inputs import make_weights
 from conformance.judging.judge import Judge, Tier
 from conformance.protocol.stages import STAGES
 from tests.meta.right_ports import port
@@ -38,5 +38,5 @@ def test_every_stage_is_judged():
 def test_a_key_may_lose_what_is_no_normal_number():
     """Such a key in half has a few bits, or none: its direction decides whose light is read, so no port is asked for it."""
     inputs, _ = network_case("erm", (16, 16), np.random.default_rng(0))
-    case = inputs, made_weights("small keys", 0)
+    case = inputs, make_weights("small keys", 0)
     Judge(port("half_flush")).check(lambda judge, drawn: judge.agrees("erm", *drawn), case)

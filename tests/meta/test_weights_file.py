@@ -7,16 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from conformance.cases.stage_inputs import made_weights
+from conformance.cases.stage_inputs import make_weights
 from conformance.judging.judge import Judge, Tier
 from conformance.protocol.job_folder import read_weights
 from conformance.protocol.port import Case
-from conformance.protocol.weights_file import serialise, shuffled
+from conformance.protocol.weights_file import serialise, shuffle
 from conformance.reference_port import ReferencePort
 from conformance.suite.run_suite import run_suite
 from stss_ref.weights import TENSORS, Weights
 
-SETS = [made_weights("random", seed) for seed in range(16)]
+SETS = [make_weights("random", seed) for seed in range(16)]
 
 
 def header(data):
@@ -31,7 +31,7 @@ def test_the_library_reads_them(tmp_path):
         read = read_weights(serialise(weights), tmp_path)
         assert (read.second_color, read.hole_test) == ("detail", "paper")
         assert all(np.array_equal(read[name], weights[name]) for name in TENSORS)
-        assert serialise(weights) == serialise(shuffled(weights))
+        assert serialise(weights) == serialise(shuffle(weights))
 
 
 def test_no_two_are_laid_out_alike():
@@ -69,5 +69,5 @@ def test_a_port_that_goes_by_the_order_is_found(order):
 
 def test_a_case_keeps_its_file():
     """Weights that were read are written in the same form again."""
-    case = Case("history", {}, shuffled(SETS[0]))
+    case = Case("history", {}, shuffle(SETS[0]))
     assert serialise(case.weights) == serialise(SETS[0])

@@ -223,7 +223,7 @@ def test_bfloat16_on_the_cpu_trains_too(data):
 @pytest.mark.filterwarnings("ignore::DeprecationWarning:torch")
 def test_a_compiled_step_is_the_step(data, monkeypatch):
     """Captured whole as one graph, and the same loss and gradients; what C++ compiler there is does not matter here."""
-    monkeypatch.setattr("training.step.compiled_objective", lambda: torch.compile(objective, backend="eager", fullgraph=True))
+    monkeypatch.setattr("training.step.compile_objective", lambda: torch.compile(objective, backend="eager", fullgraph=True))
     settings = Settings(crop=16, batch=2, rate=1e-3, warm_up=1, seed=0, half=False)
     batch = tensors(Batches(load_shards(data), side=16, batch=2, seed=0)[0], torch.device("cpu"))
     aims = Aims(squares=0.5, similar=(90.0, 30.0), extrapolated=0.6, holes=2.0)
@@ -249,11 +249,11 @@ def test_the_average_of_runs(tmp_path):
     save(tmp_path / "b.safetensors", two, {"steps": "5"})
     files = [str(tmp_path / "a.safetensors"), str(tmp_path / "b.safetensors"), "-o", str(tmp_path / "c.safetensors")]
     average(files)
-    made = load(tmp_path / "c.safetensors")
-    for name, tensor in made.weights.items():
+    result = load(tmp_path / "c.safetensors")
+    for name, tensor in result.weights.items():
         mean = (one[name].astype(np.float64) + two[name]) / 2
         np.testing.assert_array_equal(tensor, mean.astype(np.float32) * (name != "outc.bias"))
-    assert [record["steps"] for record in json.loads(made.metadata["average_of"])] == ["3", "5"]
+    assert [record["steps"] for record in json.loads(result.metadata["average_of"])] == ["3", "5"]
     (tmp_path / "d.safetensors").hardlink_to(tmp_path / "a.safetensors")
     with pytest.raises(InputError, match="the same file as"):
         average([str(tmp_path / "a.safetensors"), str(tmp_path / "b.safetensors"), "-o", str(tmp_path / "d.safetensors")])

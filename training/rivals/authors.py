@@ -25,7 +25,7 @@ from stss.images.color import Transfer
 from stss_ground.errors import InputError
 from stss_ref.arrays import Image, Mask
 from stss_ref.frame import prepare
-from training.network import Gated, enlarged
+from training.network import Gated, enlarge
 
 
 def _normed(*channels: int, stride: int = 1) -> nn.Sequential:
@@ -54,7 +54,7 @@ class _Up(nn.Module):
         self.conv.add_module("double_conv", _normed(inputs, inputs // 2, outputs))
 
     def forward(self, skip: Tensor, x: Tensor) -> Tensor:
-        return cast(nn.Sequential, self.conv.double_conv)(torch.cat([skip, enlarged(x)], 1))
+        return cast(nn.Sequential, self.conv.double_conv)(torch.cat([skip, enlarge(x)], 1))
 
 
 class AuthorsExtraNet(nn.Module):

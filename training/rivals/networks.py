@@ -21,7 +21,7 @@ from torch import Tensor, nn
 
 from stss_ground.errors import InputError
 from training.loss import led_along
-from training.network import Gated, Rectifier, base, enlarged
+from training.network import Gated, Rectifier, base, enlarge
 
 EARLIER = 4
 """Earlier frames that NSRR reads, besides the current one."""
@@ -54,7 +54,7 @@ class Up(nn.Module):
 
     def forward(self, skip: Tensor, x: Tensor) -> Tensor:
         """(N, outputs, H, W) of ``skip`` (N, S, H, W) and ``x`` (N, C, H / 2, W / 2)."""
-        return cast(nn.Sequential, self.conv.double_conv)(torch.cat([skip, enlarged(x)], 1))
+        return cast(nn.Sequential, self.conv.double_conv)(torch.cat([skip, enlarge(x)], 1))
 
 
 def chain(*channels: int, stride: int = 1, last_relu: bool = True) -> nn.Sequential:

@@ -26,7 +26,7 @@ from stss.frames.backends import NETWORK, Backend
 from stss.frames.display_frame import DisplayFrame, frame_inputs
 from stss.images.color import Transfer, transfer
 from stss.images.read_write import read_rgb
-from stss.images.resample import enlarged
+from stss.images.resample import enlarge
 from stss.quality.compare import FrameScores
 from stss.quality.flip_vmaf import Perceptual
 from stss.quality.metrics import psnr, to_8bit
@@ -186,8 +186,8 @@ def _run(model: Callable[[torch.Tensor], torch.Tensor], planes: Image, multiple:
 
 def enlarge_frame(frame: DisplayFrame, color: Image | None) -> DisplayFrame:
     """The frame at twice the size, its pixels repeated, its positions between them; ``color`` (2H, 2W, 3) takes the colour's place."""
-    planes = {name: enlarged(getattr(frame, name)) for name in ("gbuffer", "nov", "stencil")}
-    return replace(frame, color=color, motion=enlarged(2 * frame.motion), position=upsample_centres(frame.position), **planes)
+    planes = {name: enlarge(getattr(frame, name)) for name in ("gbuffer", "nov", "stencil")}
+    return replace(frame, color=color, motion=enlarge(2 * frame.motion), position=upsample_centres(frame.position), **planes)
 
 
 def perceive(rows: Sequence[FrameScores], curve: Transfer) -> tuple[float, Image]:

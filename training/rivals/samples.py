@@ -39,11 +39,11 @@ def five_frames(frames: Mapping[int, DisplayFrame], colors: Mapping[int, Image],
     """
     first = number - (2 if rendered else 1)
     there = [n for n in range(first, first - 2 * EARLIER, -2) if n in colors] or [number]
-    used = there + there[-1:] * (EARLIER - len(there))
+    earlier = there + there[-1:] * (EARLIER - len(there))
     steps = [np.zeros_like(frames[number].motion)]
-    steps += chain_steps(np.stack([frames[n].motion for n in range(number, used[-1], -1)])) if used[-1] < number else []
-    flows = [np.clip(np.nan_to_num(steps[number - n], nan=NOWHERE), -NOWHERE, NOWHERE) for n in used]
-    pictures = [plane for n in (number, *used) for plane in (colors[n], frames[n].gbuffer[..., 3:4])]
+    steps += chain_steps(np.stack([frames[n].motion for n in range(number, earlier[-1], -1)])) if earlier[-1] < number else []
+    flows = [np.clip(np.nan_to_num(steps[number - n], nan=NOWHERE), -NOWHERE, NOWHERE) for n in earlier]
+    pictures = [plane for n in (number, *earlier) for plane in (colors[n], frames[n].gbuffer[..., 3:4])]
     return np.concatenate([*pictures, *flows], axis=-1, dtype=np.float32)
 
 

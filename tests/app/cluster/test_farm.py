@@ -159,9 +159,9 @@ def test_gaps_are_named_without_a_range(frames, tmp_path):
 
 def test_a_gap_between_frames_is_never_walked(frames, tmp_path):
     plain(frames, tmp_path / "parts" / "0", (0, 1))
-    found = gather(tmp_path / "parts", tmp_path / "out", frames, frames=(-(10**9) + 1, 10**9 - 1))
-    assert found[1:3] == (2, 2 * 10**9 - 3)
-    assert found.first_missing == tuple(range(-(10**9) + 1, -(10**9) + 9))
+    report = gather(tmp_path / "parts", tmp_path / "out", frames, frames=(-(10**9) + 1, 10**9 - 1))
+    assert report[1:3] == (2, 2 * 10**9 - 3)
+    assert report.first_missing == tuple(range(-(10**9) + 1, -(10**9) + 9))
 
 
 def write(path):

@@ -10,7 +10,7 @@ from conformance.scenes import SCENES, render
 from stss.check_sequence.report import check
 from stss.demo import frame_channels
 from stss.images.read_write import encode_rgb, read_channels, read_header, read_rgb, write_rgb
-from stss.images.windows import PixelWindow, moved, union
+from stss.images.windows import PixelWindow, move, union
 from stss.sequence.profiles import load_profile
 from stss.sequence.reader import SequenceOptions, open_sequence
 from stss_ground.errors import InputError
@@ -27,7 +27,7 @@ def test_pixels_keep_their_place(window, to):
     """Against a dictionary of places."""
     plane = np.arange(1, window.width * window.height + 1).reshape(window.size)
     there = {(window.x + x, window.y + y): plane[y, x] for y in range(window.height) for x in range(window.width)}
-    got = moved(plane, window, to)
+    got = move(plane, window, to)
     assert got.shape == to.size
     assert all(got[y, x] == there.get((to.x + x, to.y + y), 0) for y in range(to.height) for x in range(to.width))
     assert np.array_equal(window.mask(to), got > 0)
@@ -68,7 +68,7 @@ def frame(number, hit=None):
 
 
 def cut(channels, canvas, data):
-    return {name: moved(plane, canvas, data) for name, plane in channels.items()}
+    return {name: move(plane, canvas, data) for name, plane in channels.items()}
 
 
 CANVAS = PixelWindow(0, 0, *SIZE[::-1])

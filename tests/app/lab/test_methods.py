@@ -16,7 +16,7 @@ from stss.demo import write_demo_sequence
 from stss.frames.backends import ReferenceBackend
 from stss.frames.supersampler import Supersampler
 from stss.images.read_write import write_rgb
-from stss.images.resample import enlarged, lanczos_centres
+from stss.images.resample import enlarge, lanczos_centres
 from stss.run.job import run
 from stss.run.options import RunOptions
 from stss.sequence.reader import open_sequence
@@ -118,7 +118,7 @@ def test_extrapolate_leaves_the_occlusion_warp_out():
     )
     image, valid = MethodBackend("extrapolate").frame(window_now)
     bilinear, _ = MethodBackend("bilinear").frame(window_now)
-    hole = enlarged(~valid)
+    hole = enlarge(~valid)
     assert hole.any()
     assert (image != bilinear)[hole].any()
     away = ~binary_dilation(hole, np.ones((3, 3)))
@@ -163,7 +163,7 @@ def test_taau_of_a_static_scene_is_its_upsampled_frame():
     for steps in (EF, SF) * 2:
         image, _ = backend.frame(inputs(steps, [color] * 3))
         np.testing.assert_array_equal(image, first)
-    within = enlarged(color)
+    within = enlarge(color)
     assert first.min() >= within.min()
     assert first.max() <= within.max()
 

@@ -12,7 +12,7 @@ from stss_ground.errors import InputError
 from stss_lab.command_stress import stress_command
 from stss_lab.stress import measure
 from stss_lab.stress.engines import OpenCLEngine, ReferenceEngine
-from stss_lab.stress.inputs import scaled, stage_inputs
+from stss_lab.stress.inputs import scale, stage_inputs
 from stss_lab.stress.measure import make_plan, stress
 from stss_lab.stress.table import StressPlan
 from stss_ref.weights import random as random_weights
@@ -40,7 +40,7 @@ def test_the_backend_is_measured_in_each_of_its_precisions(device):
     alone = engine.run("encoder", INPUTS["encoder"], WEIGHTS)
     np.testing.assert_array_equal(features["x4"], alone["x4"])
     assert features["image"].shape == (16, 32, 3)
-    large = engine.run("decoder", scaled("decoder", INPUTS["decoder"], 1e6), WEIGHTS)
+    large = engine.run("decoder", scale("decoder", INPUTS["decoder"], 1e6), WEIGHTS)
     assert np.isfinite(large["image"]).all()
     pruned = load("realtime").weights
     assert {*engine.run("erm", INPUTS["erm"], pruned)} == {"reshaded"}, "the image needs none"

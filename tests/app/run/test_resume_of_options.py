@@ -87,6 +87,6 @@ def test_resume_makes_anew_what_another_value_made(shot, tmp_path, monkeypatch, 
     before = pixels(tmp_path / "old")
     run("-o", str(tmp_path / "new"), *other)
     run("-o", str(tmp_path / "old"), *other, "--resume")
-    wanted, found = pixels(tmp_path / "new"), pixels(tmp_path / "old")
-    assert wanted != before, f"{option} {OPTIONS[option]} changes nothing: this test could not fail"
-    assert wanted == {name: found[name] for name in wanted}
+    new, old = pixels(tmp_path / "new"), pixels(tmp_path / "old")
+    assert new != before, f"{option} {OPTIONS[option]} changes nothing: this test could not fail"
+    assert new == {name: old[name] for name in new}
