@@ -11,9 +11,9 @@ from tests.offline.compilers import Compiled, CompileError, MissingError, compil
 
 LAYER = ["-cl-std=CL1.2", "-cl-mad-enable", "-cl-denorms-are-zero", "-DA=24", "-DB=24", "-DOUT=24", "-DSTRIDE=1", "-DRELU"]
 CASES = [
-    ("conv_local", [*LAYER, "-DMARK=0"]),
-    ("conv_local", [*LAYER, "-DMARK=1", "-DGATED"]),
-    ("conv_mma", [*LAYER, "-DMARK=0", "-DSTORED=HALF", "-DGATED", "-DOUTPUTS=24", "-DEIGHTS=3"]),
+    ("conv_local", [*LAYER, "-DSLICES=3", "-DMARK=0"]),
+    ("conv_local", [*LAYER, "-DSLICES=3", "-DMARK=1", "-DGATED"]),
+    ("conv_mma", [*LAYER, "-DMARK=0", "-DSTORED=HALF", "-DGATED", "-DOUTPUTS=24", "-DEIGHTS_AT_ONCE=3"]),
 ]
 
 LISTING = """

@@ -438,7 +438,7 @@ def test_keys_of_a_profile():
     }
     with pytest.raises(InputError, match=r"nothing: unknown key") as error:
         stss.load_profile("stss", nothing=1)
-    keys, tables = re.search("known are (.*) and the tables (.*)", str(error.value)).groups()
+    keys, tables = re.search("known are (.*) and the tables ([^;]*)", str(error.value)).groups()
     assert {*keys.split(", "), *(f"[{name}]" for name in tables.split(", "))} == rows.keys() == KEYS.keys()
     for key, holds in KEYS.items():
         assert holds(), key

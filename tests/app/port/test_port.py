@@ -167,7 +167,7 @@ def test_the_command(job):
     (folder / "0000" / "in" / "color.npy").unlink()
     result = call("port", "--backend", "ref", folder)
     assert result.returncode == 2
-    assert result.stderr.splitlines() == [f"stss: {folder / '0000' / 'in' / 'color.npy'}: missing"]
+    assert result.stderr.splitlines() == [f"stss: {folder / '0000' / 'in' / 'color.npy'}: missing; in holds motion.npy"]
 
 
 def row(stage):
