@@ -138,7 +138,7 @@ class Table:
     def end(self, known: str = "") -> None:
         """Raise the error if a key is left over."""
         for key in self.rest:
-            near = suggest(key, re.findall(r"\w+", known))
+            near = suggest(key, {*re.findall(r"\w+", known)} - {"and", "the", "tables"})
             raise self.error(f"{self.path}: {self.prefix}{key}: unknown key" + (f"; known are {known}{near}" if known else ""))
 
 
