@@ -104,7 +104,7 @@ def test_a_part_of_the_name_will_do(machine, name, expected):
 
 def test_a_graphics_processor_comes_first_and_a_simulator_is_none(machine, monkeypatch):
     monkeypatch.delenv("STSS_DEVICE", raising=False)
-    monkeypatch.setattr(devices, "open_handle", lambda handle, device_class=None: handle)
+    monkeypatch.setattr(devices, "open_handle", lambda handle, *_, **__: handle)
     assert open_device() is machine[0]
     assert open_device("ulator") is machine[4]
     assert not devices.is_gpu(machine[4])
