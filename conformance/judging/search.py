@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import contextmanager
 from time import monotonic
 from typing import Any
 
@@ -11,6 +12,7 @@ import hypothesis
 import numpy as np
 from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
+from hypothesis.internal.conjecture import providers
 
 from conformance.judging.findings import DepartureError, Failure
 from conformance.judging.judge import Body, Judge
@@ -77,7 +79,8 @@ class DrawnCases:
         def each(case: Any) -> None:
             take(case)
 
-        each()
+        with _no_local_constants():
+            each()
 
 
 class MadeCases:
@@ -104,6 +107,28 @@ class MadeCases:
 
     def _makers_for(self, judge: Judge) -> Makers:
         return self._makers(judge) if callable(self._makers) else self._makers
+
+
+@contextmanager
+def _no_local_constants() -> Generator[None]:
+    """Draw no constants of the modules that are not installed packages.
+
+    Hypothesis reads them in whatever such modules are imported, so cases would depend on these, and not on the seed alone: a checkout of
+    the judge, or one more import, would give others than the wheel.
+    """
+    names = ("_get_local_constants", "CONSTANTS_CACHE")
+    if not all(hasattr(providers, name) for name in names):  # before version 6.131
+        yield
+        return
+    theirs = [getattr(providers, name) for name in names]
+    ours = type(providers.GLOBAL_CONSTANTS), type(providers.CONSTANTS_CACHE)(1024)
+    try:
+        for name, value in zip(names, ours, strict=True):
+            setattr(providers, name, value)
+        yield
+    finally:
+        for name, value in zip(names, theirs, strict=True):
+            setattr(providers, name, value)
 
 
 class EnoughError(BaseException):

@@ -1,14 +1,19 @@
 """``stss conform --write-cases``: read as a stranger reads it, by the code of docs/ports.md, which imports only json and numpy."""
 
 import hashlib
+import importlib
 import json
 import re
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from conformance.judging.judge import Tier
+from conformance.judging.judge import TIERS, Judge, Tier
+from conformance.judging.search import DrawnCases
 from conformance.mistakes import find
 from conformance.protocol.job_folder import read_weights
 from conformance.report.case_archive import write_cases
@@ -155,3 +160,26 @@ def test_it_is_whole_or_not_there(tmp_path, monkeypatch):
     with pytest.raises(InputError, match="No space left"):
         write_archive(tmp_path / "cases", ["rrm"])
     assert not list(tmp_path.iterdir())
+
+
+def test_modules_that_happen_to_be_imported_change_no_case(tmp_path, monkeypatch):
+    """Hypothesis draws constants of modules that are not installed packages: a checkout's, a port's."""
+    judge, numbers = Judge(ReferencePort(), TIERS["quick"], 0), DrawnCases(st.lists(st.integers() | st.floats(), max_size=8))
+    before = repr(numbers.cases(judge))
+    monkeypatch.syspath_prepend(tmp_path)
+    for i in range(8):
+        module = tmp_path / f"made_up_{i}.py"
+        module.write_text("".join(f"X{j} = {1000 * i + j}, {i + j / 7}\n" for j in range(100)))
+        monkeypatch.setitem(sys.modules, module.stem, importlib.import_module(module.stem))
+    assert repr(numbers.cases(judge)) == before
+    theirs = []
+
+    @settings(max_examples=300, database=None)
+    @given(st.integers())
+    def draw(number):
+        theirs.append(number)
+
+    draw()
+    assert {1000 * i + j for i in range(8) for j in range(100)} & {
+        *theirs
+    }  # where the judge does not draw, Hypothesis does as it likes
