@@ -18,6 +18,8 @@ OUTPUTS = 32, 24, 16, 8
 LEAST_EIGHTS, MANY_EIGHTS, GROUPS, EMULATED = 3, 4, 16, 3072
 """For conv_mma.cl: eights of input channels at once, below which fewer outputs are better; eights above which few tiles are divided by
 outputs; work-groups for each compute unit; bytes of local memory for emulated products."""
+LOCAL = 48 << 10
+"""Most bytes of local memory that conv_mma.cl takes: those of NVIDIA's GPUs. Processors, which have more, emulate the same kernels."""
 
 
 def local(device: Device, packed: Packed, out: Padded, stride: int, most_rows: int, images: int) -> Shape:
@@ -38,19 +40,14 @@ def local(device: Device, packed: Packed, out: Padded, stride: int, most_rows: i
 def on_matrix_units(device: Device, packed: Packed, out: Padded, stride: int, most_rows: int, images: int) -> Shape:
     """The shape of conv_mma.cl for this layer; a work-item has at most ``most_rows`` rows of pixels."""
     inner, outputs = ceil_div(packed.direct.shape[2], 8), packed.direct.shape[3]
-    rows = 1 if stride == 2 else _rows(device, out, most_rows, images)
-    tiling = _tiling(out, rows, stride, images)
+    most_rows = 1 if stride == 2 else _rows(device, out, most_rows, images)
     # Few tiles of many channels, which do not fit at once: fewer outputs of a group use more of the device.
-    least = 2 * device.compute_units if inner > MANY_EIGHTS else 0
+    tiles, least = _tiling(out, most_rows, stride, images).most, 2 * device.compute_units if inner > MANY_EIGHTS else 0
     blocks = [n for n in OUTPUTS if outputs % n == 0]
-    block = next((n for n in blocks if tiling.most * (outputs // n) >= least), blocks[-1])
-    eights = _eights(device, packed, stride, rows, block)
-    if rows > 1 and eights < inner <= _eights(device, packed, stride, 1, block):
-        rows, eights = 1, inner
-        tiling = _tiling(out, rows, stride, images)
-    while eights < min(inner, LEAST_EIGHTS) and block % 16 == 0:
-        block //= 2
-        eights = _eights(device, packed, stride, rows, block)
+    blocks = [n for n in blocks if tiles * (outputs // n) >= least] or blocks[-1:]
+    fits = [(*max((_eights(device, packed, stride, rows, n), rows) for rows in {most_rows, 1}), n) for n in blocks]
+    eights, rows, block = next((fit for fit in fits if fit[0] >= min(inner, LEAST_EIGHTS)), fits[-1])
+    tiling = _tiling(out, rows, stride, images)
     # A group has several tiles if it copies its weights only once.
     groups = ceil_div(tiling.most, ceil_div(tiling.most, GROUPS * device.compute_units)) if eights == inner else tiling.most
     return Shape(
@@ -83,7 +80,7 @@ def _eights(device: Device, packed: Packed, stride: int, rows: int, block: int) 
             for n in range(inner, 1, -1)
             if inner % n == 0
             and 16 * max(n * plane, results) + ceil_div(9 * n, 2) * matrices * matrix_units.BYTES + EMULATED
-            <= device.local_memory
+            <= min(device.local_memory, LOCAL)
         ),
         1,
     )

@@ -11,6 +11,7 @@ from stss_cl.device import matrix_units
 from stss_cl.device.buffers import constant, pad, read, write
 from stss_cl.device.discovery import open_device
 from stss_cl.device.tuning import Direct, Local, Winograd, built_in, trial
+from stss_cl.network import conv_gpu
 from stss_cl.network import layer as layer_module
 from stss_cl.network.conv import ConvSpec, conv
 from stss_cl.network.pack_weights import pack
@@ -97,6 +98,17 @@ def test_matrix_units(device, layer):
     case = Case(device, layer, HALF)
     launch = case.layer(MATRIX)
     assert launch.source.file == "conv_mma.cl"
+    assert case.is_right(launch, HALF)
+
+
+@pytest.mark.parametrize(("layer", "eights", "tiles"), [(LAYERS[0], 3, 3), (LAYERS[5], 4, 1)], ids=str)
+def test_weights_in_local_memory(device, layer, eights, tiles, monkeypatch):
+    """Copied once for all tiles of a group, or for each tile part by part where they do not fit at once."""
+    monkeypatch.setattr(conv_gpu, "GROUPS", 1)
+    case = Case(device, layer, HALF)
+    launch = case.layer(MATRIX)
+    assert launch.source.options["EIGHTS_AT_ONCE"] == eights
+    assert launch.tiling.most * matrix_units.LANES == tiles * launch.size[0]
     assert case.is_right(launch, HALF)
 
 
