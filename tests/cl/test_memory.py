@@ -19,6 +19,7 @@ from stss_cl.device.buffers import pad, read, write
 from stss_cl.device.discovery import open_device
 from stss_cl.device.tuning import BUILT_IN, built_in_rows, trial
 from stss_cl.image_space.stages import ImageStages
+from stss_cl.network import conv_gpu
 from stss_cl.network.conv import ConvSpec, conv
 from stss_cl.network.network import Network
 from stss_cl.network.pack_weights import Packed
@@ -90,16 +91,19 @@ def network(precision, sizes):
 
 
 def matrix(device):
-    """One convolution of either stride, matrix units emulated: the whole network would take half an hour."""
+    """One convolution, matrix units emulated: the whole network would take half an hour. Of either stride, a group's tiles one after the
+    other, and channels in parts."""
     dtype, random = np.dtype(np.float16), np.random.default_rng(0)
-    for stride, size in ((1, (5, 33)), (2, (3, 7))):
+    for stride, size, local in ((1, (5, 33), conv_gpu.LOCAL), (2, (3, 7), conv_gpu.LOCAL), (1, (5, 33), 0)):
         direct, gate = (random.normal(size=(3, 3, 16, n)).astype(np.float32) for n in (24, 1))
         packed = Packed(direct, gate, np.ones(24, np.float32), 0.5, 16)
         inputs = [pad(device, stride * size[0], stride * size[1], 8, dtype) for _ in range(2)]
         for buffer in inputs:
             write(device, buffer, random.random((buffer.height, buffer.width, 8), np.float32))
         out = pad(device, *size, 24, dtype)
-        with trial(built_in_rows(BUILT_IN).classes["nvidia"]), matrix_units.trial(True):
+        with trial(built_in_rows(BUILT_IN).classes["nvidia"]), matrix_units.trial(True), pytest.MonkeyPatch.context() as patch:
+            patch.setattr(conv_gpu, "GROUPS", 1)
+            patch.setattr(conv_gpu, "LOCAL", local)
             conv(device, ConvSpec("test", "layer", packed, stride), *inputs, out).enqueue(device.queue)
         yield read(device, out)
 
@@ -139,8 +143,9 @@ def stages(device):
             "rectangle": np.array([0, 0, 1, 1]),
             "paper": np.zeros(1),
         }
+        inputs |= {name: random.normal(0, 2, (2 * size[0], 2 * size[1], 3)).astype(np.float32) for name in ("image", "before")}
         for gather in ("longest", "nearest", "bilinear"):
-            for stage in ("motion_chain", "warp", "holes", "occlusion_warp", "reshade", "rrm")[
+            for stage in ("motion_chain", "warp", "holes", "occlusion_warp", "reshade", "rrm", "accumulate")[
                 : None if gather == "longest" else 1
             ]:
                 yield from ImageStages(device, gather).run_stage(stage, inputs).values()
