@@ -99,9 +99,12 @@ def bench_command(
         from stss_lab.bench import launches as bench_launches
 
         tables: list[bench_launches.LaunchTimings] = []
-        for setup, name in product(setups, ours):
-            tables.append(bench_launches.time_launches(setup, name, repeat))
-            bench_launches.print_launches(tables[-1], Terminal())
+        with show_steps(console, len(setups) * len(ours)) as begin:
+            for setup, name in product(setups, ours):
+                begin(f"{setup.width}x{setup.height}: {name}")
+                tables.append(bench_launches.time_launches(setup, name, repeat))
+        for table in tables:
+            bench_launches.print_launches(table, Terminal())
         if json_file is not None:
             write_named(json_file, bench_launches.to_json(tables, identity(tensors)))
         return

@@ -38,8 +38,8 @@ TESTS = tuple(
 
 OURS = "cl,cl-direct,cl-half,cl-host,cl-frame,cl-stream,cl-stream-ahead"
 PEERS = (
-    ",".join(f"pytorch-cuda{n}{c}" for n in ("", "-float32", "-tf32") for c in ("", "-compiled"))
-    + ",onnxruntime-cuda,onnxruntime-tensorrt"
+    "pytorch-cuda,pytorch-cuda-compiled,pytorch-cuda-float32,pytorch-cuda-float32-compiled,pytorch-cuda-tf32-compiled,"
+    "onnxruntime-cuda,onnxruntime-tensorrt"
 )
 
 PATIENCE = 4
@@ -116,7 +116,7 @@ def steps(folder: Path, device: str, *, tiny: bool) -> list[Step]:
                 *(*stss, "bench", *here, "--repeat", few, "--ours", OURS, "--peers", "" if tiny else PEERS),
                 *("--json", f"{to / 'bench.json'}"),
             ),
-            300,
+            380,
         ),
         Step("launches", (*stss, "bench", "--launches", *here, "--repeat", few, "--ours", "cl,cl-half"), 60),
         Step("tune", (*stss, "tune", *here), 120),

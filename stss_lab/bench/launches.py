@@ -21,7 +21,7 @@ from stss_cl.options import Precision
 from stss_ground.errors import InputError
 from stss_ground.machine import conditions
 from stss_lab.bench.contender import Setup
-from stss_lab.bench.ours import network_inputs
+from stss_lab.bench.ours import inputs_for
 
 NETWORKS: dict[str, Precision] = {"cl": "float32", "cl-direct": "float32-direct", "cl-half": "half", "cl-bfloat16": "bfloat16"}
 """Precision of the networks of ``stss bench --ours``."""
@@ -75,7 +75,7 @@ def time_launches(setup: Setup, name: str, repeat: int) -> LaunchTimings:
         raise InputError(f"--launches: expected --ours of {', '.join(NETWORKS)}, got {name!r}")
     device, size = open_device(setup.device, timed=True), (setup.height, setup.width)
     network = Network(setup.weights, device, NETWORKS[name])
-    network(**vars(network_inputs(*size)))
+    network(**vars(inputs_for(name, setup)))
     layers = network.layers(*size)
     if len(layers.strips) > 1:
         raise InputError(f"--size {setup.width}x{setup.height}: {device.name} computes it in strips; take a smaller one")
