@@ -99,21 +99,21 @@ class Render(bpy.types.Operator):
             return self.end(context, {"CANCELLED"})
         if event.type != "TIMER":
             return {"RUNNING_MODAL"}
-        ended, line = self.step()
-        if ended is not None:
-            return self.end(context, ended)
+        result, line = self.step()
+        if result is not None:
+            return self.end(context, result)
         context.workspace.status_text_set(f"{line}. Esc stops it.")
         return {"RUNNING_MODAL"}
 
     def execute(self, context: Any) -> set[str]:
         """Without a window, or called from Python: all steps in one call."""
-        self.steps, ended, before = self.work(context), None, ""
-        while ended is None:
-            ended, line = self.step()
-            if ended is None and line != before:
+        self.steps, result, before = self.work(context), None, ""
+        while result is None:
+            result, line = self.step()
+            if result is None and line != before:
                 self.report({"INFO"}, line)
             before = line
-        return ended
+        return result
 
     def step(self) -> tuple[set[str] | None, str]:
         """Go on; returns the operator's result, or None and a line on the progress."""

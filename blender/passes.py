@@ -91,9 +91,9 @@ def survey(scene: Any, layer: Any, frames: Iterable[int]) -> list[tuple[int, Any
         for thing, instance, pose in _poses(layer.depsgraph):
             if first.setdefault((thing, instance), pose) != pose:
                 moving[thing] = None
-    drawn = {thing for thing, _ in first}
+    instanced = {thing for thing, _ in first}
     for thing in scene.objects:
-        if thing.type in GEOMETRY and thing not in drawn and not thing.hide_render and _has_keys(thing):
+        if thing.type in GEOMETRY and thing not in instanced and not thing.hide_render and _has_keys(thing):
             moving[thing] = None
     numbers = {thing.pass_index for thing in bpy.data.objects}
     free = (number for number in range(1, 32768) if number not in numbers)

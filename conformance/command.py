@@ -171,10 +171,17 @@ def conform(
         sys.exit(_replay(port, abilities, replay))
     judge = Judge(port, TIERS[tier], seed, repeat=repeat, size=size, largest_side=largest_side, abilities=abilities)
     try:
-        known = read_known(known_failures) if known_failures is not None else ()
+        excuses = read_known(known_failures) if known_failures is not None else ()
         running = RunningReport(judge, failures, choice.command(), json_file)
         with running:
-            run_suite(judge, stages or SUITE, known=known, required=require or (), first_only=fail_fast, on_result=running.take)
+            run_suite(
+                judge,
+                stages or SUITE,
+                known_failures=excuses,
+                required_stages=require or (),
+                first_only=fail_fast,
+                on_result=running.take,
+            )
     except KnownFailuresError as error:
         raise InputError(str(error)) from error
     except OSError as error:

@@ -86,5 +86,5 @@ def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> Non
 
 
 def _amiss(plugin: SuitePlugin) -> list[str]:
-    faults = [f"a failure could not be kept: {plugin.raised}"] if plugin.raised is not None else []
+    faults = [f"a failure could not be kept: {plugin.error}"] if plugin.error is not None else []
     return [result.message for result in plugin.results if result.id == JUDGED] + faults

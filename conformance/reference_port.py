@@ -26,7 +26,7 @@ from conformance.protocol.job_folder import (
 )
 from conformance.protocol.port import Arrays, Outputs
 from conformance.protocol.reference_copy import reference_layers
-from conformance.protocol.served import DONE, READY
+from conformance.protocol.served import END, READY
 from conformance.protocol.stages import STAGES, reference
 from stss_ground.errors import DeviceError, InputError
 from stss_ref.arrays import ArrayError
@@ -61,7 +61,7 @@ def serve(port: Any, *, dump: bool = False) -> None:
     sys.stdout.flush()
     for line in sys.stdin:
         answer_job(Path(line.rstrip("\n")), port, dump=dump, weights=weights)
-        sys.stdout.write(f"{DONE}{line}")
+        sys.stdout.write(f"{END}{line}")
         sys.stdout.flush()
 
 
@@ -112,15 +112,15 @@ class WeightsFiles:
     """Weights files, each read once: many cases of a job share one, and a backend uploads the same object only once."""
 
     def __init__(self):
-        self._read: dict[str, Weights] = {}
+        self._weights: dict[str, Weights] = {}
 
     def read(self, case: Path) -> Weights:
         """The weights of a case; JobError if they are damaged."""
         path = case / "in" / WEIGHTS
         data = read_bytes(path, MOST_WEIGHTS_BYTES)
         digest = hashlib.sha256(data).hexdigest()
-        if digest not in self._read:
-            if len(self._read) == CACHED_WEIGHTS:
-                self._read.pop(next(iter(self._read)))
-            self._read[digest] = read_weights(data, path)
-        return self._read[digest]
+        if digest not in self._weights:
+            if len(self._weights) == CACHED_WEIGHTS:
+                self._weights.pop(next(iter(self._weights)))
+            self._weights[digest] = read_weights(data, path)
+        return self._weights[digest]

@@ -135,11 +135,11 @@ class Table:
         """The value of a key that must be true or false; false if it is missing."""
         return key in self.rest and cast(bool, self.take(key, "true or false", bool))
 
-    def end(self, known: str = "") -> None:
+    def end(self, keys: str = "") -> None:
         """Raise the error if a key is left over."""
         for key in self.rest:
-            near = suggest(key, {*re.findall(r"\w+", known)} - {"and", "the", "tables"})
-            raise self.error(f"{self.path}: {self.prefix}{key}: unknown key" + (f"; known are {known}{near}" if known else ""))
+            near = suggest(key, {*re.findall(r"\w+", keys)} - {"and", "the", "tables"})
+            raise self.error(f"{self.path}: {self.prefix}{key}: unknown key" + (f"; known are {keys}{near}" if keys else ""))
 
 
 def _float(value: float) -> float:
@@ -150,7 +150,7 @@ def _float(value: float) -> float:
         return math.nan
 
 
-class _Shown(reprlib.Repr):
+class _Short(reprlib.Repr):
     """Shows values from files of unknown origin, cut short; ``repr`` itself fails for nested tables and long whole numbers."""
 
     def repr_int(self, x: int, level: int) -> str:
@@ -159,6 +159,6 @@ class _Shown(reprlib.Repr):
 
 
 def _format(value: object) -> str:
-    short = _Shown()
+    short = _Short()
     short.maxstring = short.maxother = 80
     return " ".join(short.repr(value).split())  # an array's has several lines

@@ -74,8 +74,8 @@ def bad_links(page):
 
 def missing_names(page):
     """Files, modules, options and imports that a page names and that are not there."""
-    named = set(re.findall(r"`([^`\n]+)`", prose(page))) - ELSEWHERE
-    for name in named:
+    names = set(re.findall(r"`([^`\n]+)`", prose(page))) - ELSEWHERE
+    for name in names:
         if re.fullmatch(rf"(?:{'|'.join(FOLDERS)})/[\w./*<>-]+", name):
             there = list(ROOT.glob(name.rstrip("/").replace("STAGE", "warp")))
         elif re.fullmatch(r"[\w-]+\.(?:py|cl|clh|toml)", name):
@@ -112,10 +112,10 @@ def missing_decisions(path):
     """Decisions that a page or a comment names by number and that are not there."""
     text = re.sub(r"\s+(?://|#)?\s*", " ", prose(path) if path.suffix == ".md" else comments(path))
     pages = {int(page.name[:4]) for page in (ROOT / "docs" / "decisions").glob("0*.md")}
-    named = re.findall(
+    names = re.findall(
         r"(?<!its )\bdecision (\d+)\b|(?<!its )\bdecisions ((?:\d+(?:, | and )?)+)|\bdecisions/[\w.-]+, (0\d{3})\b", text
     )
-    for number in re.findall(r"\d+", " ".join(" ".join(words) for words in named)):
+    for number in re.findall(r"\d+", " ".join(" ".join(words) for words in names)):
         if int(number) not in pages:
             yield f"decision {number} is not there"
 
@@ -153,10 +153,10 @@ def missing_licence(path):
 def broken_promises(page):
     """Rows of docs/promises.md without a test, or with one that is not there."""
     for row in re.findall(r"^\| (?!promise)(.*)\|$", text(page), re.MULTILINE):
-        named = re.findall(r"`(tests/[\w/]+\.py)::(test_\w+)`", row)
-        if not named:
+        names = re.findall(r"`(tests/[\w/]+\.py)::(test_\w+)`", row)
+        if not names:
             yield f"no test: {row}"
-        for file, name in named:
+        for file, name in names:
             if not (ROOT / file).is_file() or f"\ndef {name}(" not in text(ROOT / file):
                 yield f"{file}::{name} is not there"
 

@@ -23,7 +23,7 @@ from training.samples import NOWHERE
 Kind = Literal["SF", "EF"]
 KINDS: tuple[Kind, Kind] = ("SF", "EF")
 
-DRAWN = 3
+DRAWS = 3
 """Crops drawn for each crop used, which is the one with the most detail: half of an average frame is flat, and teaches little."""
 
 
@@ -142,7 +142,7 @@ class Batches:
         random = np.random.default_rng([self._seed, step])
         parts: list[tuple[Array, Array, Array]] = []
         for _ in range(self._batch // self._together):
-            draws = [self._draw(random) for _ in range(DRAWN)]
+            draws = [self._draw(random) for _ in range(DRAWS)]
             together, corner = max(draws, key=lambda one: self._detail(one[0][0], one[1]))
             crops = [crop(p.shard.inputs[p.index], p.shard.truth[p.index], corner, self._side) for p in together]
             last = max(p.shard.frames[p.index] for p in together)

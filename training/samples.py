@@ -86,9 +86,9 @@ def samples(frames: Sequence[DisplayFrame], truths: Mapping[int, Image], hole_fi
             window = [
                 frame if (last.number - frame.number) % 2 == odd else replace(frame, color=None) for frame in window_at(frames, i)
             ]
-            planned = plan(window)
-            if planned is not None and len(window) > 1:
-                frame_planes = frame_inputs(window, planned.steps)
+            schedule = plan(window)
+            if schedule is not None and len(window) > 1:
+                frame_planes = frame_inputs(window, schedule.steps)
                 inputs = pack(
                     warp_all(frame_planes, hole_fill=hole_fill), _motion(window[-2], last), details(frame_planes, hole_fill)
                 )

@@ -26,8 +26,8 @@ def expect_accumulate(inputs: dict[str, NDArray[Any]], arithmetic: Arithmetic) -
     """
     image, motion = inputs["image"], inputs["motion"]
     # Twice a number is exact, but one too small may have become 0 before.
-    lost = np.where(motion == 0, 0, 2 * arithmetic.flushed(motion))
-    moved, off = (plane.repeat(2, axis=0).repeat(2, axis=1) for plane in (2 * motion, lost))
+    rounding_of_motion = np.where(motion == 0, 0, 2 * arithmetic.flushed(motion))
+    moved, off = (plane.repeat(2, axis=0).repeat(2, axis=1) for plane in (2 * motion, rounding_of_motion))
     at = reach(moved, arithmetic, off)
     inside, unsure = (mask[..., None] for mask in within_frame(at))
     low, high = box(image)
@@ -37,8 +37,8 @@ def expect_accumulate(inputs: dict[str, NDArray[Any]], arithmetic: Arithmetic) -
     wrong = np.maximum(clamped - np.clip(history - wrong, low, high), np.clip(history + wrong, low, high) - clamped)
     peak = np.maximum(np.abs(low), np.abs(high))
     rounding = BOUNDS["accumulate"].roundings * (arithmetic.unit * peak + arithmetic.tiny)
-    mean, copied = lerp(image, clamped, EARLIER_SHARE), arithmetic.flushed(image)
-    allowed = np.where(inside | unsure, EARLIER_SHARE * wrong + rounding, copied)
+    mean, copy = lerp(image, clamped, EARLIER_SHARE), arithmetic.flushed(image)
+    allowed = np.where(inside | unsure, EARLIER_SHARE * wrong + rounding, copy)
     want = np.where(inside, mean, image)
     others = (np.where(unsure, np.where(inside, image, mean), want),) if unsure.any() else ()
     return {"shown": Expected(want, allowed, others)}

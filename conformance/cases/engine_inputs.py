@@ -20,7 +20,7 @@ from stss_ref.weights import SECOND_COLORS, SecondColor, Weights
 SIZE = 17, 23
 STENCILS = 0.0, 1.0, 255.0, 256.0, 257.0, 2048.0, 2049.0, 65536.0
 """Numbers of objects: 256 is 0 in 8 bits, 65536 in 16; half precision holds no 2049."""
-LOST = 0.05
+NOT_FINITE = 0.05
 """The share of pixels whose motion is not finite."""
 MORE_MOTIONS = 3
 """Motions behind those that the steps need."""
@@ -30,7 +30,7 @@ def _motion(rng: Generator, size: Size) -> NDArray[np.float64]:
     """(H, W, 2) motion, half of it still, as often by -0 as by 0, and some of it lost."""
     still = rng.choice([0.0, -0.0], (*size, 2))
     motion = np.where(rng.random((*size, 1)) < 0.5, still, rng.integers(-6, 7, (*size, 2)) / 4)
-    motion[rng.random(size) < LOST, rng.integers(2)] = rng.choice([np.nan, np.inf, -np.inf])
+    motion[rng.random(size) < NOT_FINITE, rng.integers(2)] = rng.choice([np.nan, np.inf, -np.inf])
     return motion
 
 
@@ -97,7 +97,7 @@ def _frame(second: SecondColor, fill: HoleFill, rng: Generator) -> tuple[Inputs,
     return {**inputs, "motions": motions, "positions": positions, "stencils": np.stack([now, previous, now, previous])}, weights
 
 
-_MADE: dict[str, tuple[Callable[[Generator], Any], ...]] = {
+_MAKERS: dict[str, tuple[Callable[[Generator], Any], ...]] = {
     "motion_chain": (lambda rng: {"motions": np.stack([_motion(rng, SIZE) for _ in range(3)])},),
     "warp": (lambda rng: {"color": rng.random((*SIZE, 3)), "motion": _motion(rng, SIZE)},),
     "holes": (_holes, _far_from_home), "occlusion_warp": (_occlusion_warp,), "reshade": (_reshade,),
@@ -105,10 +105,10 @@ _MADE: dict[str, tuple[Callable[[Generator], Any], ...]] = {
     "accumulate": (_accumulate,),
 }  # fmt: skip
 
-ENGINE_STAGES = frozenset(_MADE)
+ENGINE_STAGES = frozenset(_MAKERS)
 """Stages that have such cases."""
 
 
 def engine_inputs(stage: str) -> tuple[Callable[[Generator], Any], ...]:
     """Such cases of a stage: inputs, and weights if the stage takes them."""
-    return _MADE[stage]
+    return _MAKERS[stage]

@@ -226,10 +226,10 @@ def accumulate_inputs(draw: st.DrawFn, largest: int = 10, before: str = "any", m
     rng = np.random.default_rng(draw(SEEDS))
     image = draw(colors((height, width), 3))
     kind = draw(st.sampled_from(["same", "near", "beside", "beside", "any"])) if before == "any" else before
-    shown = draw(colors((height, width), 3)) if kind == "any" else image
+    earlier = draw(colors((height, width), 3)) if kind == "any" else image
     if kind in ("near", "beside"):
         apart = rng.uniform(-1, 1, image.shape) * np.ptp(image)
-        shown = image + apart * (0.1 if kind == "near" else draw(st.sampled_from([0.5, 3.0])))
+        earlier = image + apart * (0.1 if kind == "near" else draw(st.sampled_from([0.5, 3.0])))
     if motion == "out":
         moved = rng.uniform(-1, 1, (*size, 2))
         axis = rng.integers(2, size=size)[..., None] == np.arange(2)
@@ -239,7 +239,7 @@ def accumulate_inputs(draw: st.DrawFn, largest: int = 10, before: str = "any", m
     else:
         short = [motions(size, broken=True), dyadic_motions(size, "short"), dyadic_motions(size, "half")]
         moved = draw(dyadic_motions(size, "still") if motion == "still" else st.one_of(*short))
-    return {"image": image, "before": shown, "motion": moved}
+    return {"image": image, "before": earlier, "motion": moved}
 
 
 @st.composite

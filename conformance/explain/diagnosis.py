@@ -91,7 +91,7 @@ def _others(judge: Judge, stage: str) -> list[_Answer]:
 
     The smallest failures have a pixel or two, in which many mistakes look alike.
     """
-    answers = [_compare(judge, case, got) for case, got in judge.answered if case.stage == stage]
+    answers = [_compare(judge, case, got) for case, got in judge.answers if case.stage == stage]
     for make in _telling_cases(stage):
         inputs = make(np.random.default_rng(0))
         case = judge.make_case(stage, *(inputs if STAGES[stage].weights else (inputs,)))

@@ -26,14 +26,14 @@ def explain(judge: Judge, body: Body) -> Failure:
         judge: its ``record`` has the failure.
         body: the property.
     """
-    failed: list[str] = []
+    faults: list[str] = []
 
     def attempt(part: Callable[[], T], instead: T) -> T:
         # Ports, and mistakes on unforeseen cases, raise any error: a failure is reported with or without its explanation.
         try:
             return part()
         except Exception as error:
-            failed.append(f"explaining it failed: {type(error).__name__}: {error}")
+            faults.append(f"explaining it failed: {type(error).__name__}: {error}")
             return instead
 
     record, smallest = judge.record, judge.failure()
@@ -49,5 +49,5 @@ def explain(judge: Judge, body: Body) -> Failure:
         ]
     judge.record = record
     terms = attempt(lambda: terms_at_worst(failure.finding), ())
-    message = "; ".join(filter(None, [failure.finding.message, *words, *failed]))
+    message = "; ".join(filter(None, [failure.finding.message, *words, *faults]))
     return replace(failure, finding=replace(failure.finding, message=message, terms=terms))

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from conformance.graph.model import Input, Model
 from conformance.graph.rounding import AnyArray
-from conformance.protocol.drawn_case import DRAWN, read_drawn
+from conformance.protocol.drawn_case import CASES_FOLDER, read_drawn
 from conformance.protocol.job_folder import JobError, read_array
 from stss_ground.errors import InputError
 
@@ -74,7 +74,7 @@ def read_failure(model: Model, folder: Path) -> list[dict[str, AnyArray]]:
         InputError: it is not the folder of a failure of this model.
     """
     try:
-        _, case = read_drawn(folder / DRAWN)
+        _, case = read_drawn(folder / CASES_FOLDER)
     except JobError as error:
         raise InputError(f"{folder}: expected the folder of one failure: {error}") from error
     whole: Any = case

@@ -26,7 +26,7 @@ from stss_ground.terminal import printable
 from stss_ground.version import VERSION
 
 FORMAT = 1
-SHOWN = 8
+MOST_ROWS = 8
 """Most tensors of the printed table: those nearest to their bounds."""
 HEAD = ("tensor", "operator", "cases", "error / bound", "rms / bound")
 TENSORS, OUTPUTS = "tensors", "outputs"
@@ -38,7 +38,7 @@ def print_outcome(outcome: Outcome, console: Console) -> None:
     table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
     for name in HEAD:
         table.add_column(name, justify="left" if name in HEAD[:2] else "right", overflow="fold")
-    nearest = sorted(outcome.tensors.items(), key=lambda each: -each[1].ratio)[:SHOWN]
+    nearest = sorted(outcome.tensors.items(), key=lambda each: -each[1].ratio)[:MOST_ROWS]
     ends = {f"output {name}, from the inputs": tensor for name, tensor in outcome.ends.items()}
     for name, tensor in (*nearest, *ends.items()):
         table.add_row(printable(name), tensor.op, str(tensor.cases), number_of(tensor.ratio), number_of(tensor.rms))
@@ -51,10 +51,10 @@ def lines_of(outcome: Outcome) -> list[str]:
     """The lines besides the numbers."""
     unsuited = f"; {outcome.unsuited} drawn sizes do not suit the model" if outcome.unsuited else ""
     more = [f"{outcome.cases} cases, {len(outcome.tensors)} tensors judged{unsuited}"]
-    derived = [name for name, tensor in outcome.tensors.items() if not tensor.is_own]
-    if derived:
+    dependent = [name for name, tensor in outcome.tensors.items() if not tensor.is_own]
+    if dependent:
         more.append(
-            f"{len(derived)} tensors, such as {derived[0]}, depend on tensors that the port did not return: "
+            f"{len(dependent)} tensors, such as {dependent[0]}, depend on tensors that the port did not return: "
             "their bounds are estimates from random changes, about 100 times the rounding"
         )
     if fused := [name for name, tensor in outcome.tensors.items() if tensor.fused]:
@@ -121,8 +121,8 @@ def _results(outcome: Outcome) -> list[TestResult]:
 
     def test(kind: str, name: str, tensor: Tensor) -> TestResult:
         record = Record(tensor.cases, worst={f"{name}.error": tensor.ratio, f"{name}.rms": tensor.rms})
-        ended = ("passed", "") if tensor.ratio <= 1 else ("failed", f"error / bound {number_of(tensor.ratio)}")
-        return TestResult(printable(name), kind, tensor.op, *ended, record=record)
+        outcome_of_tensor = ("passed", "") if tensor.ratio <= 1 else ("failed", f"error / bound {number_of(tensor.ratio)}")
+        return TestResult(printable(name), kind, tensor.op, *outcome_of_tensor, record=record)
 
     results = [test(TENSORS, *each) for each in outcome.tensors.items()]
     results += [test(OUTPUTS, f"output {name}", tensor) for name, tensor in outcome.ends.items()]

@@ -93,7 +93,7 @@ class Judge:
         self.record = Record()
         self.tell: Callable[[Finding], None] = lambda _: None
         self.near: dict[str, float] = {}
-        self.answered: list[tuple[Case, Outputs]] = []
+        self.answers: list[tuple[Case, Outputs]] = []
         self._before: deque[Any] = deque(maxlen=MOST_BEFORE)
         self._rounded: deque[tuple[Arrays, str, dict[str, NDArray[Any]]]] = deque(maxlen=MOST_ROUNDED)
         self._weights: dict[int, tuple[Weights, Weights]] = {}
@@ -103,7 +103,7 @@ class Judge:
         self.record = Record()
         self._before.clear()
         self._rounded.clear()
-        self.answered.clear()
+        self.answers.clear()
 
     @property
     def is_program(self) -> bool:
@@ -315,10 +315,10 @@ class Judge:
 
     def _remember(self, case: Case, outputs: Outputs) -> None:
         """Keep the largest cases: one that was made smaller until it barely fails tells few mistakes apart."""
-        self.answered.append((case, outputs))
-        if len(self.answered) > OTHERS:
-            sizes = [sum(array.size for array in case.inputs.values()) for case, _ in self.answered]
-            del self.answered[sizes.index(min(sizes))]
+        self.answers.append((case, outputs))
+        if len(self.answers) > OTHERS:
+            sizes = [sum(array.size for array in case.inputs.values()) for case, _ in self.answers]
+            del self.answers[sizes.index(min(sizes))]
 
     def agrees_exactly(self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights) -> Talk:
         """Run a case that needs no rounding, and expect the right bits; a Winograd port has its bounds, since its matrices have thirds."""

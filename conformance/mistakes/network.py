@@ -224,9 +224,9 @@ def _last_relu(name: str, of: str) -> Mistake:
 
 
 def _within_last(right: Change, x: Any) -> Iterable[Any]:
-    seen = np.zeros_like(x)
-    seen[:-1, :-1] = x[:-1, :-1]
-    return right(seen)
+    all_but_the_last = np.zeros_like(x)
+    all_but_the_last[:-1, :-1] = x[:-1, :-1]
+    return right(all_but_the_last)
 
 
 def _summed_before_relu(query: Any, key: Any, value: Any) -> Any:

@@ -19,7 +19,7 @@ from conformance.protocol.port import AnyArray
 from stss_ref.constants import HOLE_FILLS, HOLE_TESTS
 from stss_ref.weights import SECOND_COLORS, Weights
 
-DRAWN = "property"
+CASES_FOLDER = "property"
 """Folder of a failure for its cases."""
 PROPERTY = "property.json"
 MOST_BYTES = 1 << 24

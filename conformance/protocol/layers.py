@@ -14,7 +14,7 @@ from conformance.protocol.watch import Activations
 from stss_ref.arrays import ArrayError
 from stss_ref.weights import LAYERS, SOURCES, Layer
 
-_GIVEN = {"color": "H W 6", "mask": "H W", "history": "3 H W 4"}
+_FRAME_SIZED = {"color": "H W 6", "mask": "H W", "history": "3 H W 4"}
 """The inputs that stage ``frame`` makes for the network; not yet padded."""
 PADDED = ("network", "frame")
 """Stages that take frames of any size, and pad them to multiples of 8 inside."""
@@ -40,7 +40,7 @@ LAYERS_OF: Mapping[str, Mapping[str, ArraySpec]] = {
     "erm": _specs(("erm",)),
     "decoder": _specs(("decoder",)),
     "network": _WHOLE,
-    "frame": {**{name: array_spec(text) for name, text in _GIVEN.items()}, **_WHOLE},
+    "frame": {**{name: array_spec(text) for name, text in _FRAME_SIZED.items()}, **_WHOLE},
 }
 """For each stage that has layers, in the order of computation: names and shapes. Each result is after gate and ReLU."""
 
@@ -65,4 +65,4 @@ def check_layers(stage: str, layers: Arrays, inputs: Arrays, label: Label = str)
     for name, array in layers.items():
         if name not in specs:
             raise ArrayError(f"{label(name)}: not a layer of stage {stage}")
-        check_shapes({name: specs[name]}, {name: array}, sizes if name in _GIVEN else padded, "float32", label)
+        check_shapes({name: specs[name]}, {name: array}, sizes if name in _FRAME_SIZED else padded, "float32", label)

@@ -38,12 +38,12 @@ class Ending:
 
     Attributes:
         status: its exit status, negative for a signal; None: it was stopped.
-        talked: whether it was stopped for writing too much.
+        has_talked: whether it was stopped for writing too much.
         stderr: the end of its stderr, without control characters.
     """
 
     status: int | None
-    talked: bool
+    has_talked: bool
     stderr: str
 
 
@@ -71,15 +71,15 @@ def run_alone(
     """
     session = Session(command, stdin=subprocess.DEVNULL, stdout=out, stderr=err, cwd=folder, env=env)
     process = session.process
-    ended, stopped, end = Event(), list[str](), time.monotonic() + timeout
+    ended, reasons, end = Event(), list[str](), time.monotonic() + timeout
 
     def watch() -> None:
         while not ended.wait(LOOK):
             if max(os.fstat(file.fileno()).st_size for file in (out, err)) > MOST_SAID:
-                stopped.append("output")
+                reasons.append("output")
             elif time.monotonic() > end:
-                stopped.append("time")
-            if stopped:
+                reasons.append("time")
+            if reasons:
                 stop(process)
                 return
 
@@ -91,7 +91,7 @@ def run_alone(
         ended.set()
         watcher.join()
         report = session.close()
-    return Ending(None if stopped else session.status(report), "output" in stopped, tail(err))
+    return Ending(None if reasons else session.status(report), "output" in reasons, tail(err))
 
 
 class Session:

@@ -115,8 +115,8 @@ class Program:
             except OSError as error:
                 raise NotStartedError(f"{self._command[0]}: cannot be started: {error.strerror or error}") from error
             self.stderr = ending.stderr
-        if failed := _fault_of(ending, self._timeout):
-            raise JobError(failed)
+        if fault := _fault_of(ending, self._timeout):
+            raise JobError(fault)
 
     def _serving(self) -> Server | None:
         """The program, if it serves; asked once."""
@@ -169,5 +169,7 @@ def _first_unanswered(job: Path, count: int) -> int | None:
 def _fault_of(ending: Ending, timeout: float) -> str:
     """The reason to reject all of the program's outputs; "" if there is none."""
     if ending.status is None:
-        return f"stopped after {timeout:g} s" if not ending.talked else f"stopped: more than {MOST_SAID >> 20} MiB on its output"
+        return (
+            f"stopped after {timeout:g} s" if not ending.has_talked else f"stopped: more than {MOST_SAID >> 20} MiB on its output"
+        )
     return describe(ending.status) if ending.status != 0 else ""

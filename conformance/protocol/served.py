@@ -19,7 +19,7 @@ from conformance.protocol.own_session import GRACE, LOOK, MOST_SAID, Session, de
 SERVE = "--serve"
 READY = "stss serve 1"
 """The line that a program says first; 1 is the version of the protocol."""
-DONE = "done "
+END = "done "
 """Prefix of the line that names a computed job folder."""
 READY_SECONDS = 10.0
 """Most time until a program says that it serves; devices may be opened later."""
@@ -96,10 +96,8 @@ class Server:
                 line = ""
             if line is None:
                 return self._ending()
-            if line.startswith(DONE):
-                return (
-                    "" if line == f"{DONE}{job}" else f"answered for another job: expected {job}, got {line[len(DONE) :][:200]}"
-                )
+            if line.startswith(END):
+                return "" if line == f"{END}{job}" else f"answered for another job: expected {job}, got {line[len(END) :][:200]}"
             if self._too_much():
                 return f"stopped: more than {MOST_SAID >> 20} MiB on its output"
             if time.monotonic() > end:

@@ -57,7 +57,7 @@ class Watch:
     """Watches one copy, whose functions it wraps."""
 
     def __init__(self, functions: Functions) -> None:
-        self._seen: ContextVar[Activations | None] = ContextVar("seen", default=None)
+        self._record: ContextVar[Activations | None] = ContextVar("seen", default=None)
         for name in LAYER_FUNCTIONS:
             functions.wrap_all(name, self._around(lambda record, arguments, y: record.note(arguments[2], y)))
         functions.wrap_all(ACTIVATION, self._around(lambda record, arguments, y: record.note_activation(arguments[0], y)))
@@ -68,18 +68,18 @@ class Watch:
     def open(self) -> Generator[Activations]:
         """Record while this is open; otherwise nothing is kept."""
         record = Activations()
-        token = self._seen.set(record)
+        token = self._record.set(record)
         try:
             yield record
         finally:
-            self._seen.reset(token)
+            self._record.reset(token)
 
     def _around(self, note: Callable[[Activations, tuple[Any, ...], Any], None]) -> Callable[[Function], Function]:
         def around(compute: Function) -> Function:
             @wraps(compute)
             def noted(*arguments: Any, **keywords: Any) -> Any:
                 result = compute(*arguments, **keywords)
-                if (record := self._seen.get()) is not None:
+                if (record := self._record.get()) is not None:
                     note(record, arguments, result)
                 return result
 

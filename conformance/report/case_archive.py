@@ -89,7 +89,7 @@ class _Archive:
         self._tests: list[dict[str, Any]] = []
         self._cases: list[dict[str, Any]] = []
         self._sums: list[str] = []  # lines of SHA256SUMS
-        self._asked = hashlib.sha256()
+        self._digest = hashlib.sha256()
         self._weights: dict[str, Path] = {}
 
     def add(self, test: StoredTest) -> None:
@@ -105,7 +105,7 @@ class _Archive:
     def finish(self, request: dict[str, Any]) -> dict[str, Any]:
         """Write the index and the checksums."""
         index = {
-            "format": FORMAT, "versions": versions_of_cases(), **request, "inputs_sha256": self._asked.hexdigest(),
+            "format": FORMAT, "versions": versions_of_cases(), **request, "inputs_sha256": self._digest.hexdigest(),
             "tests": self._tests, "cases": self._cases,
         }  # fmt: skip
         (self._folder / INDEX).write_text(json.dumps(index, indent=1) + "\n", encoding="utf-8")
@@ -118,10 +118,10 @@ class _Archive:
         write_job(self._folder, [case], len(self._cases))
         inputs = self._folder / name / "in"
         for file in (self._folder / name / "stage", *(inputs / f"{input_}.npy" for input_ in case.inputs)):
-            self._asked.update(self._note(file).encode())
+            self._digest.update(self._note(file).encode())
         if case.weights is not None:
             line = self._note(inputs / WEIGHTS)
-            self._asked.update(line.encode())
+            self._digest.update(line.encode())
             first = self._weights.setdefault(line[:64], inputs / WEIGHTS)
             if first != inputs / WEIGHTS:  # the same weights are one file under many names
                 (inputs / WEIGHTS).unlink()

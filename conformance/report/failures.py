@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from conformance.answers.expected import Expected
 from conformance.judging.findings import Failure, Finding, Record
 from conformance.judging.judge import Body, Judge, agreement
-from conformance.protocol.drawn_case import DRAWN, read_drawn, write_drawn
+from conformance.protocol.drawn_case import CASES_FOLDER, read_drawn, write_drawn
 from conformance.protocol.job_folder import (
     CASE,
     MOST_WEIGHTS_BYTES,
@@ -65,8 +65,8 @@ def keep_failure(folder: Path, name: str, failure: Failure, replay: str, write: 
     try:
         with tell_errors(place):
             _write_failure(temporary, failure.finding, f"{replay} --replay {shlex.quote(str(place))}", write)
-            (temporary / DRAWN).mkdir()
-            write_drawn(temporary / DRAWN, name, [*failure.before, failure.drawn_case])
+            (temporary / CASES_FOLDER).mkdir()
+            write_drawn(temporary / CASES_FOLDER, name, [*failure.before, failure.drawn_case])
             (temporary / SUMS).write_bytes(sums_below(temporary))
             temporary.chmod(0o755)
             if os.path.lexists(place) and not _is_ours(place):
@@ -161,7 +161,7 @@ def _only_case(folder: Path) -> Case:
 
 def _property(folder: Path) -> tuple[Body, list[Any]] | None:
     """The property and its cases: those before the failing one, then that one; None: the folder has no property."""
-    if not (folder / DRAWN).exists():
+    if not (folder / CASES_FOLDER).exists():
         return None
-    test, cases = read_drawn(folder / DRAWN)
+    test, cases = read_drawn(folder / CASES_FOLDER)
     return find_property(test), [*cases]

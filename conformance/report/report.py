@@ -70,10 +70,10 @@ def _outputs(stage: str) -> list[str]:
 
 def by_stage(results: Sequence[TestResult]) -> dict[str, list[TestResult]]:
     """Stage -> its results, in the order of the run."""
-    grouped: dict[str, list[TestResult]] = {}
+    groups: dict[str, list[TestResult]] = {}
     for result in results:
-        grouped.setdefault(result.stage, []).append(result)
-    return grouped
+        groups.setdefault(result.stage, []).append(result)
+    return groups
 
 
 def worst_of(results: Sequence[TestResult]) -> dict[str, float]:

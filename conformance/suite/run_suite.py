@@ -38,8 +38,8 @@ def run_suite(
     judge: Judge,
     stages: Iterable[str] = SUITE,
     *,
-    known: Sequence[KnownFailure] = (),
-    required: Iterable[str] = (),
+    known_failures: Sequence[KnownFailure] = (),
+    required_stages: Iterable[str] = (),
     first_only: bool = False,
     only: str = "",
     on_result: Callable[[TestResult, int], None] | None = None,
@@ -49,8 +49,8 @@ def run_suite(
     Args:
         judge: has the port.
         stages: names of ``SUITE``.
-        known: tests that are known to fail; those of other stages have no say.
-        required: stages that the port must have.
+        known_failures: tests that may fail; those of other stages have no say.
+        required_stages: stages that the port must have.
         first_only: stop at the first failure.
         only: the tests whose names hold this, as pytest's ``-k`` has it; "": all.
         on_result: called after every test with its result and the number of tests.
@@ -60,14 +60,14 @@ def run_suite(
         anything against a bound, and ``REQUIRED``, if the port lacks a stage that it must have.
 
     Raises:
-        KnownFailuresError: ``known`` names no test.
+        KnownFailuresError: one of ``known_failures`` names no test.
         ValueError: no stages, or an unknown one.
     """
     stages = set(stages)
     if not stages or stages - set(SUITE):
         raise ValueError(f"stages: expected some of {', '.join(SUITE)}, got {', '.join(sorted(stages)) or 'none'}")
-    require_known(known)
-    plugin = SuitePlugin(judge, known, stages, required, on_result, large_last=first_only)
+    require_known(known_failures)
+    plugin = SuitePlugin(judge, known_failures, stages, required_stages, on_result, large_last=first_only)
     files = [str(SUITE_FOLDER / f"test_{stage}.py") for stage in SUITE if stage in stages]
     for file in files:
         assert Path(file).exists(), f"{file}: no tests of this stage; expected them there"
@@ -80,16 +80,16 @@ def run_suite(
         arguments.append("--exitfirst")
     with _undisturbed():
         status = pytest.main(arguments, plugins=[plugin])
-    if plugin.raised is not None:
-        raise plugin.raised
-    if status not in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED, pytest.ExitCode.INTERRUPTED) or plugin.broken:
-        raise RuntimeError(plugin.broken or f"pytest ended with {status}")
+    if plugin.error is not None:
+        raise plugin.error
+    if status not in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED, pytest.ExitCode.INTERRUPTED) or plugin.fault:
+        raise RuntimeError(plugin.fault or f"pytest ended with {status}")
     return plugin.results
 
 
-def require_known(known: Iterable[KnownFailure]) -> None:
+def require_known(known_failures: Iterable[KnownFailure]) -> None:
     """Raise KnownFailuresError if one names no test."""
-    for each in known:
+    for each in known_failures:
         try:
             find_property(each.test)
         except LookupError as error:
@@ -125,22 +125,22 @@ class SuitePlugin:
     def __init__(
         self,
         judge: Judge,
-        known: Sequence[KnownFailure],
+        known_failures: Sequence[KnownFailure],
         stages: set[str],
-        required: Iterable[str] = (),
+        required_stages: Iterable[str] = (),
         on_result: Callable[[TestResult, int], None] | None = None,
         *,
         large_last: bool = False,
     ):
         self._large_last = large_last
-        self._judge, self._stages, self._required, self._on_result = judge, stages, set(required), on_result
-        self._known = {each.test: each for each in known}
+        self._judge, self._stages, self._required, self._on_result = judge, stages, set(required_stages), on_result
+        self._known_failures = {each.test: each for each in known_failures}
         self._total = 0
         self._stdout = sys.stdout
         self._session: pytest.Session | None = None
         self.results: list[TestResult] = []
-        self.broken = ""
-        self.raised: Exception | None = None
+        self.fault = ""
+        self.error: Exception | None = None
         """The error of `on_result`: through pytest it would be an internal error, with pytest's own traceback."""
 
     @pytest.fixture
@@ -163,7 +163,7 @@ class SuitePlugin:
     def pytest_collectreport(self, report: pytest.CollectReport) -> None:
         """Take down the errors of collecting."""
         if report.failed:
-            self.broken = str(report.longrepr)
+            self.fault = str(report.longrepr)
 
     @pytest.hookimpl(trylast=True)  # behind -k, which leaves some out
     def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
@@ -181,7 +181,7 @@ class SuitePlugin:
         if reasons := [f"{words} {', '.join(sorted(lacking))}" for words, lacking in lacks.items() if lacking]:
             words = "The port has the stages that it is required to have, and they are judged."
             self._add(REQUIRED, words, "; ".join(reasons))
-        if self.broken or len(self.results) < self._total or any(_is_judged(result) for result in self.results):
+        if self.fault or len(self.results) < self._total or any(_is_judged(result) for result in self.results):
             return
         stages = sorted({result.stage for result in self.results} & set(SUITE), key=SUITE.index)
         lacks_all = all(result.outcome == "skipped" for result in self.results if result.id != REQUIRED)
@@ -195,12 +195,12 @@ class SuitePlugin:
 
     def _tell(self, result: TestResult) -> None:
         self.results.append(result)
-        if self._on_result and self.raised is None:
+        if self._on_result and self.error is None:
             try:
                 with contextlib.redirect_stdout(self._stdout):
                     self._on_result(result, self._total)
             except Exception as error:
-                self.raised = error
+                self.error = error
                 if self._session is not None:
                     self._session.shouldstop = "the report cannot be written"
 
@@ -230,9 +230,9 @@ class SuitePlugin:
                 result.message = str(error)
             else:
                 result.outcome, result.message = "error", f"{type(error).__name__}: {error}"
-            if result.id in self._known:
-                self._known[result.id].excuse(result)
-        elif result.id in self._known:
+            if result.id in self._known_failures:
+                self._known_failures[result.id].excuse(result)
+        elif result.id in self._known_failures:
             result.outcome, result.message = "failed", "it is among the known failures, and passes: take it off the list"
         self._tell(result)
         return result

@@ -55,15 +55,15 @@ class Store:
 
 def recorded(window: list[DisplayFrame], weights: Weights, store: Store) -> dict[str, Any] | None:
     """The calls of the newest frame of ``window``; None where it cannot be made."""
-    planned = plan(window)
-    if planned is None:
+    schedule = plan(window)
+    if schedule is None:
         return None
     maker = Maker(weights)
-    image: Picture = maker.frame(vars(frame_inputs(window, planned.steps)))
-    color = window[-1 - planned.steps[0]].color
+    image: Picture = maker.frame(vars(frame_inputs(window, schedule.steps)))
+    color = window[-1 - schedule.steps[0]].color
     assert color is not None
     return {
-        "name": f"frame {window[-1].number}, {'rendered' if planned.steps[0] == 0 else 'not rendered'}",
+        "name": f"frame {window[-1].number}, {'rendered' if schedule.steps[0] == 0 else 'not rendered'}",
         "buffers": [b if isinstance(b, int) else [store.place(b)] for b in maker.buffers],
         "calls": maker.calls,
         "image": [image.buffer, image.height, image.width],

@@ -189,21 +189,21 @@ class StaticGeometry:
     Attributes:
         positions: the verdict by positions; None where no pair shows enough static geometry.
         jitter: of the camera.
-        repeated: frames with the positions of the previous frame, though something moves.
+        repeats: frames with the positions of the previous frame, though something moves.
         background: the verdict on it; None where there is none, or the scene is flat.
     """
 
     positions: StaticVerdict | None
     jitter: Jitter
-    repeated: tuple[int, ...]
+    repeats: tuple[int, ...]
     background: BackgroundVerdict | None
 
     def lines(self) -> list[Line]:
         """Findings."""
         late = self.positions is not None and self.positions.lags == "position"  # they are not those of what is static now
-        repeated = f"position: frames {', '.join(map(str, self.repeated))} repeat that of the previous frame"
+        repetition = f"position: frames {', '.join(map(str, self.repeats))} repeat that of the previous frame"
         return [
-            *([("warning", f"{repeated}; every display frame needs its own G-buffer")] if self.repeated else []),
+            *([("warning", f"{repetition}; every display frame needs its own G-buffer")] if self.repeats else []),
             *([] if self.positions is None else self.positions.lines()),
             *([] if self.background is None or late else self.background.lines()),
             *(("warning", text) for text in self.jitter.lines),
@@ -216,7 +216,7 @@ def judge_static_geometry(pairs: Iterable[tuple[Buffers, Buffers]]) -> StaticGeo
     single: list[tuple[float, ...]] = []
     against: list[tuple[float, float]] = []
     within: list[tuple[float, float]] = []
-    repeated: list[int] = []
+    repeats: list[int] = []
     sky: list[tuple[float, float, float, float]] = []
     size, mirrored, relative = (0, 0), None, True
     for before, now in pairs:
@@ -225,7 +225,7 @@ def judge_static_geometry(pairs: Iterable[tuple[Buffers, Buffers]]) -> StaticGeo
         if (shift := common_shift(now.motion[still].astype(np.float64), share=ALIKE)) is not None:
             within.append(shift)
         if _is_repeated(before, now):
-            repeated.append(now.number)
+            repeats.append(now.number)
             continue
         earlier, current = (solve_projection(f.position, static_surfaces(f)) for f in (before, now))
         if earlier is None or current is None:
@@ -254,7 +254,7 @@ def judge_static_geometry(pairs: Iterable[tuple[Buffers, Buffers]]) -> StaticGeo
     if sky:
         share, turns, error, largest = np.median(sky, axis=0)
         background = BackgroundVerdict(float(share), float(turns), float(error), bool(largest == 0))
-    return StaticGeometry(positions, Jitter(tuple(against), tuple(within)), tuple(repeated), background)
+    return StaticGeometry(positions, Jitter(tuple(against), tuple(within)), tuple(repeats), background)
 
 
 def _at_origin(projection: Projection, frame: Buffers) -> bool:

@@ -122,10 +122,10 @@ class _Run:
                 numbers = waiting.pop(0)
                 tasks[executor.submit(compute_chunk, self._work.part(numbers), numbers)] = numbers
             limit = FIRST_TIMEOUT if self._slowest is None else max(MIN_TIMEOUT, TIMEOUT_FACTOR * self._slowest)
-            finished = wait(tasks, limit, FIRST_COMPLETED).done
-            if not finished:
+            results = wait(tasks, limit, FIRST_COMPLETED).done
+            if not results:
                 raise Timeout
-            for future in finished:
+            for future in results:
                 self._take(tasks.pop(future), future.result())
 
     def _begin(self, who: Introduction) -> None:

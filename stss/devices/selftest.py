@@ -130,7 +130,7 @@ def image_stages(device: Device, generator: np.random.Generator) -> None:
     _exact("shown", stages.run_stage("accumulate", images)["shown"], accumulate(**images))
 
 
-class Shown(NamedTuple):
+class Display(NamedTuple):
     """A display frame (`stss_cl.skip.display_frame.DisplayFrame`)."""
 
     color: NDArray[np.float32] | None
@@ -144,7 +144,7 @@ class Shown(NamedTuple):
 def frames(device: Device, generator: np.random.Generator, trial: str = REALTIME) -> None:
     """Display frames in sequence against the reference: the programs are those that `stss run` builds."""
     weights, size = trial_weights(trial), (24, 40)
-    stream, window = Stream(weights, device), list[Shown]()
+    stream, window = Stream(weights, device), list[Display]()
     color, gbuffer, nov, position = (generator.random((*size, *c)).astype(np.float32) for c in ((3,), (9,), (), (3,)))
     for number in range(8):
         kind = number % 2
@@ -153,7 +153,7 @@ def frames(device: Device, generator: np.random.Generator, trial: str = REALTIME
             picture[4:8, 8:12] *= 0.5
         if number == 7:
             motion[6:16, 10:30], stencil[8:14, 12:28] = generator.uniform(-9, 9, 2), 1
-        window = [*window[-5:], Shown(None if kind else picture, motion, stencil, gbuffer, nov, position)]
+        window = [*window[-5:], Display(None if kind else picture, motion, stencil, gbuffer, nov, position)]
         steps = kind, min(number, kind + 2), min(number, kind + 4)
         image, valid = stream(window, steps)
         if number >= 6:
@@ -165,7 +165,7 @@ def frames(device: Device, generator: np.random.Generator, trial: str = REALTIME
             raise MismatchError(f"frames: expected a part of the network to run, found {stream.cost.network}")
 
 
-def _inputs(window: list[Shown], steps: tuple[int, int, int]) -> FrameInputs:
+def _inputs(window: list[Display], steps: tuple[int, int, int]) -> FrameInputs:
     """The inputs of the last frame as the reference takes them."""
     back = window[::-1]
     views = [back[0], *(back[step] for step in steps)]

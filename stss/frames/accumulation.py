@@ -32,7 +32,7 @@ class Accumulation:
     def __init__(self, backend: Backend, accumulate: Accumulate):
         self.name, self.method = f"{backend.name}, accumulate", backend.method
         self._backend, self._accumulate = backend, accumulate
-        self._shown: dict[int, Image] = {}
+        self._images: dict[int, Image] = {}
         """The id of the last frame of each sequence under way -> its image; gone with the frame."""
 
     @property
@@ -50,9 +50,9 @@ class Accumulation:
     def compute(self, window: Sequence[DisplayFrame], steps: tuple[int, int, int]) -> tuple[Image, Mask]:
         """See ``Backend``."""
         image, valid = self._backend.compute(window, steps)
-        before = self._shown.pop(id(window[-2]), None) if len(window) > 1 else None
+        before = self._images.pop(id(window[-2]), None) if len(window) > 1 else None
         if before is not None:
             image = self._accumulate(image, before, window[-1].motion)
-        self._shown[id(window[-1])] = image
-        weakref.finalize(window[-1], self._shown.pop, id(window[-1]), None)
+        self._images[id(window[-1])] = image
+        weakref.finalize(window[-1], self._images.pop, id(window[-1]), None)
         return image, valid

@@ -145,12 +145,12 @@ def open_backend(
     require_kind("weights", weights, (Weights, Mapping), "a name, a file, or weights that are loaded")
     weights = check(weights)
     if name == "cl":
-        opened = OpenCLBackend(weights, options, tell)
+        backend = OpenCLBackend(weights, options, tell)
         if not options.accumulate:
-            return opened
+            return backend
         from stss_cl.image_space.accumulate import Accumulate
 
-        return Accumulation(opened, Accumulate(opened.device))
+        return Accumulation(backend, Accumulate(backend.device))
     if options.device is not None or options.precision != "float32":
         raise InputError("backend ref: expected neither a device nor another precision than float32")
     reference = ReferenceBackend(weights)

@@ -50,13 +50,13 @@ def compute(window: Sequence[DisplayFrame], backend: Backend) -> Output | None:
         window: up to six consecutive display frames of one size, oldest first.
         backend: the backend to compute it with.
     """
-    planned = plan(window)
-    if planned is None:
+    timing = plan(window)
+    if timing is None:
         return None
-    image, valid = backend.compute(window, planned.steps)
-    step, newest = planned.steps[0], window[-1]
+    image, valid = backend.compute(window, timing.steps)
+    step, newest = timing.steps[0], window[-1]
     carried = carry(window[-1 - step].carried, newest.motion if step else None)
-    return Output(newest.number, planned.kind, image, valid, carried)
+    return Output(newest.number, timing.kind, image, valid, carried)
 
 
 def decode(output: Output, curve: Transfer) -> Output:

@@ -130,7 +130,7 @@ class _Store:
         self.places: list[str] = []
         self.strip: list[str] = []
         self._path, self._room, self._open = path, within, open_folder
-        self._known: dict[bytes, int] = {}
+        self._numbers: dict[bytes, int] = {}
         self._folder: OutputFolder | None = None
 
     def keep(self, frame: ShownFrame) -> dict[str, object]:
@@ -158,11 +158,11 @@ class _Store:
     def _picture(self, name: str, image: Image) -> int:
         data = _png(image)
         digest = hashlib.sha256(data).digest()
-        if digest not in self._known:
-            self._known[digest] = len(self.places)
+        if digest not in self._numbers:
+            self._numbers[digest] = len(self.places)
             self._room -= len(data)
             self.places.append(_data(data) if self._room >= 0 else self._write(name, data))
-        return self._known[digest]
+        return self._numbers[digest]
 
     def _write(self, name: str, data: bytes) -> str:
         folder = self._folder or self._enter()

@@ -14,11 +14,11 @@ from stss_ref.holes import holes
 from stss_ref.sample import follow, leads_inside
 from stss_ref.warp import warp
 
-Shown = tuple[Image, Image]
+OutputAndTruth = tuple[Image, Image]
 """Output and truth, (H, W, 3) display-referred, in [0, 1], not cut to 8 bits."""
 
 
-def temporal_psnr(frame: Shown, before: Shown) -> float:
+def temporal_psnr(frame: OutputAndTruth, before: OutputAndTruth) -> float:
     """tPSNR: ``10 log10(1 / mean (d - d*)^2)``, ``d`` the change of the output pixel by pixel and without motion, ``d*`` that of the truth.
 
     Source: arm/neural-graphics-model-gym, ``src/ng_model_gym/core/evaluator/metrics.py``, commit 028eaa7, ``calculate_tpsnr``.
@@ -38,7 +38,7 @@ class Follower:
         self._sequence = sequence
         self._last: DisplayFrame | None = None
 
-    def flicker(self, number: int, frame: Shown, before: Shown) -> float | None:
+    def flicker(self, number: int, frame: OutputAndTruth, before: OutputAndTruth) -> float | None:
         """How much the change of frame ``number`` since the one before it differs from the truth's: ``mean |d - d*|``.
 
         ``d(p) = out_t(p) - out_{t-1}(p + motion_t(p))``, and ``d*`` is the same of the truth. The mean is over the pixels whose motion

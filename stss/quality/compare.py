@@ -16,7 +16,7 @@ from rich.measure import Measurement
 from rich.table import Table
 
 from stss.images.read_write import read_rgb
-from stss.quality.changes import Follower, Shown, temporal_psnr
+from stss.quality.changes import Follower, OutputAndTruth, temporal_psnr
 from stss.quality.flip_vmaf import NEITHER, Perceptual, vmaf_scores
 from stss.quality.metrics import REGIONS, Scores, mean_scores, score, to_8bit, upsample_holes
 from stss.quality.output_and_truth import FALLBACK, KINDS, MADE_WITH, Pair, find_pairs, list_numbers, require_size
@@ -233,7 +233,7 @@ def facts(comparison: Comparison) -> list[str]:
 def _rows(pairs: Mapping[int, Pair], numbers: Iterable[int], sequence: Input | None, *, flip: bool) -> list[FrameScores]:
     """The frames' rows, with the step from the previous frame where there is one."""
     rows: list[FrameScores] = []
-    before: Shown | None = None
+    before: OutputAndTruth | None = None
     follower = None if sequence is None else Follower(sequence)
     for number in numbers:
         pair = pairs[number]
@@ -249,7 +249,7 @@ def _rows(pairs: Mapping[int, Pair], numbers: Iterable[int], sequence: Input | N
     return rows
 
 
-def _judge(number: int, pair: Pair, images: Shown, *, flip: bool) -> FrameScores:
+def _judge(number: int, pair: Pair, images: OutputAndTruth, *, flip: bool) -> FrameScores:
     image, truth = images
     hole = None
     if pair.holes is not None:

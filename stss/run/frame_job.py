@@ -73,23 +73,23 @@ class Sink(Protocol):
 
 
 @dataclass(frozen=True)
-class _Read:
+class _Job:
     """The display frames that one output depends on, and the output's key."""
 
     key: str
     window: list[DisplayFrame]
-    copied: Mapping[str, Value]
+    attributes: Mapping[str, Value]
 
 
 @dataclass(frozen=True)
-class _Computed:
+class _Result:
     """One output as the backend computed it, display-referred."""
 
     key: str
     output: Output
     cost: Cost | None
     static_holes: float | None
-    copied: Mapping[str, Value]
+    attributes: Mapping[str, Value]
 
 
 @dataclass(frozen=True)
@@ -154,20 +154,20 @@ class FrameJob:
 
         return overlap(numbers, self.read, self.compute, self.write, meanwhile)
 
-    def read(self, number: int) -> _Read | FrameReport:
+    def read(self, number: int) -> _Job | FrameReport:
         """Read the frames that display frame ``number`` depends on, unless it is kept; only this step uses ``window`` and ``keys``."""
         try:
             key = self.keys.of(number)
             if (kind := self.already_written(number, key)) is not None:
                 return FrameReport(number, kind, "kept")
             window = self.window.up_to(number, keep_going=self.options.keep_going)
-            return _Read(key, window, self.window.attributes(number))
+            return _Job(key, window, self.window.attributes(number))
         except InputError as error:
             if not self.options.keep_going:
                 raise
             return FrameReport(number, None, "left out", str(error), fault=True)
 
-    def compute(self, job: _Read | FrameReport) -> _Computed | FrameReport:
+    def compute(self, job: _Job | FrameReport) -> _Result | FrameReport:
         """Compute it, or report the reason why not; only this step uses ``backend``."""
         if isinstance(job, FrameReport):
             return job
@@ -183,9 +183,9 @@ class FrameJob:
             return FrameReport(number, FrameKind.EF, "left out", reason, fault=fault)
         newest = job.window[-1]
         share = static_holes(newest.stencil, newest.gbuffer[..., :3], output.valid) if output.kind is FrameKind.EF else None
-        return _Computed(job.key, output, self.backend.cost, share, job.copied)
+        return _Result(job.key, output, self.backend.cost, share, job.attributes)
 
-    def write(self, job: _Computed | FrameReport) -> FrameReport:
+    def write(self, job: _Result | FrameReport) -> FrameReport:
         """Take it back through the transfer and write its files."""
         if isinstance(job, FrameReport):
             return job
@@ -201,7 +201,7 @@ class FrameJob:
             image = self.curve.display(image[display.within(canvas)])
         metadata: dict[str, Value] = {"stss:key": job.key, "stss:frame": str(output.number), "stss:kind": output.kind.value}
         more = {name: plane[..., 0] for name, plane in output.carried.items()} if self.options.format == "exr" else {}
-        metadata |= {**self.metadata, **job.copied}
+        metadata |= {**self.metadata, **job.attributes}
         if job.static_holes is not None:
             metadata[STATIC_HOLES] = f"{job.static_holes:.4f}"
         name = frame_name(output.number, self.options.format)

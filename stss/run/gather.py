@@ -36,7 +36,7 @@ MADE_BY = ("backend", "version")
 """What may differ, with the last bits of the pictures."""
 
 
-class Gathered(NamedTuple):
+class Content(NamedTuple):
     """The content of a folder after its parts were gathered.
 
     Attributes:
@@ -62,7 +62,7 @@ def gather(
     frames: tuple[int, int] | None = None,
     overwrite: bool = False,
     track: Track = iter,
-) -> Gathered:
+) -> Content:
     """Move the files of all parts into one folder, as one run would have left it. After an interrupt it can be repeated.
 
     No file of a part is removed before all files of all parts are in the folder and on the disk. From then on `MARK` lies beside the
@@ -118,7 +118,7 @@ def gather(
     first, last = frames or (min(there, default=0), max(there, default=-1))
     inside = sorted(number for number in there if first <= number <= last)
     gaps = (range(a + 1, b) for a, b in pairwise([first - 1, *inside, last + 1]))  # lazily: numbers may lie far apart
-    return Gathered(
+    return Content(
         len(folders), len(there), last - first + 1 - len(inside), tuple(islice(chain.from_iterable(gaps), LISTED)), makers
     )
 

@@ -12,18 +12,18 @@ FRAMES_AHEAD = 2
 """Most items that are read ahead of the one being computed, and most earlier items that may still wait to be written."""
 
 Item = TypeVar("Item")
-Read = TypeVar("Read")
-Computed = TypeVar("Computed")
-Written = TypeVar("Written")
+Input = TypeVar("Input")
+Result = TypeVar("Result")
+Report = TypeVar("Report")
 
 
 def overlap(
     items: deque[Item],
-    read: Callable[[Item], Read],
-    compute: Callable[[Read], Computed],
-    write: Callable[[Computed], Written],
+    read: Callable[[Item], Input],
+    compute: Callable[[Input], Result],
+    write: Callable[[Result], Report],
     meanwhile: Callable[[], None] = lambda: None,
-) -> Generator[Written, None, None]:
+) -> Generator[Report, None, None]:
     """Do ``write(compute(read(item)))`` for every item; later items are read and earlier ones written meanwhile.
 
     Until the first item is computed no other runs: the user waits to see it.
@@ -43,11 +43,11 @@ def overlap(
         The results of ``write``, in order.
     """
     reader, writer = ThreadPoolExecutor(1, "stss-read"), ThreadPoolExecutor(1, "stss-write")
-    reading: deque[Future[Read]] = deque()
-    writing: deque[Future[Written]] = deque()
+    reading: deque[Future[Input]] = deque()
+    writing: deque[Future[Report]] = deque()
     has_failed = False
 
-    def write_in_turn(result: Computed) -> Written:
+    def write_in_turn(result: Result) -> Report:
         nonlocal has_failed
         if has_failed:
             raise CancelledError  # its result is not read: the error before it ends the work
@@ -61,7 +61,7 @@ def overlap(
         while items and len(reading) < most:
             reading.append(reader.submit(read, items.popleft()))
 
-    def finished(most: int) -> Generator[Written, None, None]:
+    def finished(most: int) -> Generator[Report, None, None]:
         while len(writing) > most or (writing and writing[0].done()):
             result = writing[0].result()  # a failed one stays in the list, so that asking again raises the same error
             writing.popleft()
@@ -74,11 +74,11 @@ def overlap(
             try:
                 ready = reading.popleft().result()
                 yield from finished(FRAMES_AHEAD - 1)
-                computed = compute(ready)
+                result = compute(ready)
             except (Exception, KeyboardInterrupt):
                 yield from finished(0)
                 raise
-            writing.append(writer.submit(write_in_turn, computed))
+            writing.append(writer.submit(write_in_turn, result))
             begin_to_read(FRAMES_AHEAD + 1)
         yield from finished(0)
     finally:

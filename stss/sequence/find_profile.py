@@ -53,9 +53,9 @@ def find_profile(path: Path) -> Profile:
         raise refusals[0]
     best = [name for name, score in scores.items() if score == max(scores.values())]
     if len(best) > 1 or scores[best[0]] < LEAST:
-        known = ", ".join(profile_names())
+        names = ", ".join(profile_names())
         raise InputError(
-            f"{path}: the channels fit no profile alone: {listing(channels)}; say --profile {known} or a TOML file of your own"
+            f"{path}: the channels fit no profile alone: {listing(channels)}; say --profile {names} or a TOML file of your own"
         )
     return load_profile(best[0])
 

@@ -164,14 +164,14 @@ def load_profile(name_or_path: str | Path, **changes: Any) -> Profile:
     Raises:
         InputError: there is no such profile; or a key of it is unknown, missing or wrong.
     """
-    named, text = path_of("profile", name_or_path), str(name_or_path)
+    path_given, text = path_of("profile", name_or_path), str(name_or_path)
     if text in profile_names():
         path = _TABLES / f"{text}.toml"
     else:
-        path = named
+        path = path_given
         if not path.exists():
-            known = profile_names()
-            raise InputError(f"profile {text}: expected one of {', '.join(known)} or a TOML file{suggest(text, known)}")
+            names = profile_names()
+            raise InputError(f"profile {text}: expected one of {', '.join(names)} or a TOML file{suggest(text, names)}")
     table = _read(path)
     if changes:
         table.path, table.rest = f"profile {text} as changed", _merge(table.rest, changes)

@@ -212,11 +212,11 @@ class Sequence:
         color = self.first.sources.get("color")
         if color is None:
             return ""
-        read, *others = layers_of(read_header(color.path), self.profile, color)
+        first, *others = layers_of(read_header(color.path), self.profile, color)
         if not others:
             return ""
         return (
-            f"layers: {color.path.name} has the colour of {', '.join([read, *others])}; only {read} is read: "
+            f"layers: {color.path.name} has the colour of {', '.join([first, *others])}; only {first} is read: "
             "a profile with a base and the names of channels written out reads another"
         )
 

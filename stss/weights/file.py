@@ -97,8 +97,8 @@ def _require_file(path: Path) -> None:
     if path.suffix.lower() in {".pkl", ".pth", ".pt"}:
         raise InputError(f"{path}: a PyTorch checkpoint; convert it first: stss weights import")
     if path.suffix.lower() != ".safetensors":
-        known = (*SHIPPED, BILINEAR)
-        raise InputError(f"{path}: expected weights, a .safetensors file or one of {', '.join(known)}{suggest(str(path), known)}")
+        names = (*SHIPPED, BILINEAR)
+        raise InputError(f"{path}: expected weights, a .safetensors file or one of {', '.join(names)}{suggest(str(path), names)}")
     try:
         size = require_regular(path)
     except OSError as error:

@@ -37,7 +37,7 @@ class Kernel:
 
     def __init__(self, program: Program, name: str, arguments: Arguments | None = None):
         self.name = name
-        self._kernel = cl.Kernel(program.built, name)
+        self._kernel = cl.Kernel(program.handle, name)
         self._places: dict[str, tuple[int, str]] = {}
         self._members: dict[str, tuple[int, str]] = {}
         self._structs: dict[int, tuple[str, dict[str, float]]] = {}

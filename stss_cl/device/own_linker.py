@@ -31,7 +31,7 @@ WRITABLE, ALLOCATED = 1, 2
 DISTANCES = (2, 4)
 """R_X86_64_PC32 and R_X86_64_PLT32: 32 bits, the symbol's address - the place's."""
 LOAD, DYNAMIC, STACK = 1, 2, 0x6474E551
-READ, WRITE, EXECUTE = 4, 2, 1
+MAY_READ, MAY_WRITE, MAY_EXECUTE = 4, 2, 1
 
 
 class LinkError(Exception):
@@ -134,10 +134,10 @@ def _link(source: Relocatable) -> bytes:
     _relocate(image, source, places.sections)
     # The dynamic section is written to as it is loaded, so it gets a page of its own: a page further on than in the file.
     segments = (
-        (LOAD, READ | EXECUTE, 0, 0, len(image), PAGE),
-        (LOAD, READ | WRITE, len(image), len(image) + PAGE, len(dynamic), PAGE),
-        (DYNAMIC, READ | WRITE, len(image), len(image) + PAGE, len(dynamic), 8),
-        (STACK, READ | WRITE, 0, 0, 0, 16),
+        (LOAD, MAY_READ | MAY_EXECUTE, 0, 0, len(image), PAGE),
+        (LOAD, MAY_READ | MAY_WRITE, len(image), len(image) + PAGE, len(dynamic), PAGE),
+        (DYNAMIC, MAY_READ | MAY_WRITE, len(image), len(image) + PAGE, len(dynamic), 8),
+        (STACK, MAY_READ | MAY_WRITE, 0, 0, 0, 16),
     )
     header = HEADER.pack(
         IDENT, SHARED, X86_64, 1, 0, HEADER.size, 0, 0, HEADER.size, SEGMENT.size, len(segments), SECTION.size, 0, 0

@@ -24,7 +24,7 @@ ICE_LAKE = AVX512 | {
     *("avx512ifma", "avx512vbmi", "avx512_vbmi2", "avx512_vnni", "avx512_bitalg", "avx512_vpopcntdq"),
     *("gfni", "vaes", "vpclmulqdq", "sha_ni"),
 }
-KNOWN = (("icelake-client", ICE_LAKE), ("skylake-avx512", AVX512), ("haswell", AVX2), ("x86-64", frozenset[str]()))
+PROCESSORS = (("icelake-client", ICE_LAKE), ("skylake-avx512", AVX512), ("haswell", AVX2), ("x86-64", frozenset[str]()))
 """Names, the best first, and the features that such a processor must have, by Linux's names, since the compiler uses all of them."""
 RECORD = 2048
 """Bytes of a device's record that are searched for the name; in PoCL 3.0 it is at 640."""
@@ -37,7 +37,7 @@ given_names: dict[int, ctypes.Array[ctypes.c_char]] = {}
 def substitute() -> str:
     """A name to use for this processor if its own is unknown; "" on a system that cannot list its instructions."""
     flags = cpu_flags()
-    return next(name for name, required in KNOWN if flags >= required) if flags and sys.platform == "linux" else ""
+    return next(name for name, features in PROCESSORS if flags >= features) if flags and sys.platform == "linux" else ""
 
 
 def name_processor(handle: cl.Device) -> None:

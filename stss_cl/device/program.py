@@ -49,12 +49,12 @@ class Program:
     """A built program, and its kernels' arguments.
 
     Attributes:
-        built: OpenCL's.
+        handle: OpenCL's.
         structs: struct -> members with their types, in order, of those that have only numbers.
     """
 
     def __init__(self, program: cl.Program, text: str, options: str):
-        self.built, self.structs = program, signatures.structs(text)
+        self.handle, self.structs = program, signatures.structs(text)
         self._text, self._defined = text, set(re.findall(r"-D (\w+)", options))
         self._arguments: dict[str, list[tuple[str, str]]] = {}
 

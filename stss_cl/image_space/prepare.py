@@ -108,8 +108,8 @@ class Prepare:
         self.splat = self._filled(8 * (1 if self._reshades else height * width))
         self._samples = self._filled((height * width if self._reshades else 1) * 16)
         self._launches = self._whole if self.inputs.changes is None else self._marking
-        self._read: Sources | None = None
-        self._done: cl.Event | None = None
+        self._sources: Sources | None = None
+        self._last: cl.Event | None = None
 
     @cached_property
     def _whole(self) -> _Launches:
@@ -199,8 +199,8 @@ class Prepare:
         """
         distances, size, device, frames = check_steps(steps), (self.height, self.width), self.device, self._frames
         surfaces = 4 if self._stores else 2
-        if self._done is not None:
-            self._done.wait()  # until then the previous frame's arrays are in use
+        if self._last is not None:
+            self._last.wait()  # until then the previous frame's arrays are in use
         far = distances[frames - 1]
         sources = Sources(
             steps=distances,
@@ -222,7 +222,7 @@ class Prepare:
             looking: use change maps; False: everything is computed, and nothing is marked.
             checks: let ``not_finite`` look for values that are not finite; normals are then three floats apart.
         """
-        self._read, s, changes = sources, sources, self.inputs.changes
+        self._sources, s, changes = sources, sources, self.inputs.changes
         self._launches = launches = self._marking if looking and changes is not None else self._whole
         if looking and changes is not None:
             changes.clear()
@@ -271,14 +271,14 @@ class Prepare:
 
     def strip(self, top: int = 0) -> None:
         """Enqueue the rest of the work for the rows of ``inputs`` that begin at row ``top`` of the frame, one of ``tops``."""
-        assert self._read is not None
+        assert self._sources is not None
         if len(self._tops) > 1:
             self._warp(top, checks=False, marks_wanted=False)  # an earlier strip's values have been overwritten
-        if self._read.steps[0]:
+        if self._sources.steps[0]:
             self._launches.fill.set(top=top)
             self._launches.fill.enqueue(self.device.queue)
         self._launches.eighth.set(top=top)
-        self._done = self._launches.eighth.enqueue(self.device.queue)
+        self._last = self._launches.eighth.enqueue(self.device.queue)
 
     def _warp(self, top: int, *, checks: bool, marks_wanted: bool) -> None:
         """Warp the colour frames that are read, and find their holes; for the newest, mark the places that holes look up.

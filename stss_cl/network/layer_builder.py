@@ -66,10 +66,10 @@ class LayerBuilder:
         self.marked = (
             [replace(each, changes=part) for each, part in zip(tensors, self.maps.buffers, strict=True)] if self.maps else []
         )
-        self._held = dict(zip(slots, (*first, *(self.marked or tensors)), strict=True))
+        self._tensors = dict(zip(slots, (*first, *(self.marked or tensors)), strict=True))
 
     def __getitem__(self, slot: Slot) -> Padded:
-        return self._held[slot]
+        return self._tensors[slot]
 
     def conv(self, step: Conv, final: Final | None = None) -> None:
         """Append a convolution; ``final``: it writes the image, not its output."""

@@ -20,7 +20,7 @@ from stss_cl.skip.display_frame import DisplayFrame
 from stss_cl.skip.planes import Planes
 from stss_ref.arrays import require_finite
 
-HELD = 9
+MOST_FRAMES = 9
 """Number of remembered display frames: an output's window, the window of the previous output of the same kind, and one more. For frames
 older than the window only their changes are remembered, since the caller may reuse their arrays."""
 
@@ -154,7 +154,7 @@ class UploadedFrames:
             self._refuse(bad, frame)
         if color is None and compare:
             recolored = np.zeros(self._shape, np.bool_)
-        if len(self._chain) == HELD:
+        if len(self._chain) == MOST_FRAMES:
             self._drop(self._chain.popleft())
         self._chain.append(UploadedFrame(frame, self._count, planes, color, changed, recolored))
         self._count += 1

@@ -81,7 +81,7 @@ class OutputFolder:
         self.path, self._subfolders, self._name = path, tuple(subfolders), re.compile(name)
         self._sums: dict[str, list[str]] = {}
         """Name -> its checksums in the list, the newest last: a killed process may have left the older file."""
-        self._written: set[str] = set()
+        self._names: set[str] = set()
         self._log: BinaryIO | None = None
 
     def present(self) -> list[Path]:
@@ -130,11 +130,11 @@ class OutputFolder:
             sync(self._log.fileno())
         make_folder(path.parent)
         write_whole(path, data)
-        self._written.add(name)
+        self._names.add(name)
 
     def keep(self, name: str) -> None:
         """Count an existing file as written by this process."""
-        self._written.add(name)
+        self._names.add(name)
 
     def sums(self) -> dict[str, str]:
         """The list: name -> SHA-256."""
@@ -163,7 +163,7 @@ class OutputFolder:
         Raises:
             InputError: a file can't be removed or written.
         """
-        for name in sorted(self._sums.keys() - self._written) if remove_others else ():
+        for name in sorted(self._sums.keys() - self._names) if remove_others else ():
             with tell_errors(self.path / name):
                 self._clear(name)
                 (self.path / name).unlink(missing_ok=True)

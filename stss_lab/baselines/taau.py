@@ -44,7 +44,7 @@ class Taau:
     """
 
     def __init__(self, jitter: Iterable[tuple[float, float]] = ()) -> None:
-        self._shown: Image | None = None  # (2H, 2W, 4): colour, and how many frames are in it
+        self._history: Image | None = None  # (2H, 2W, 4): colour, and how many frames are in it
         offsets = tuple(jitter)
         self._offsets, self._jittered, self._before = iter(offsets), bool(offsets), (0.0, 0.0)
 
@@ -63,10 +63,10 @@ class Taau:
         image = np.clip(lanczos_centres(prepared.color[..., :3], offset), low, high)
         count = np.ones((*image.shape[:2], 1), np.float32)
         # Only the first frame after a gap has no earlier one within reach, and so no step back.
-        if max(inputs.steps) > 0 and self._shown is not None:
+        if max(inputs.steps) > 0 and self._history is not None:
             motion = inputs.motions[0] - np.subtract(self._before, offset, dtype=np.float32)
             at = follow(_nearest(2 * motion, offset))
-            before = catmull_rom(self._shown, at.x + at.fx, at.y + at.fy)  # a sum in float64
+            before = catmull_rom(self._history, at.x + at.fx, at.y + at.fy)  # a sum in float64
             # Where the newest of the earlier colour frames shows the same surface.
             visible = (prepared.history[1, ..., 3] if inputs.steps[0] == 0 else prepared.mask) != 0
             keep = (leads_inside(at) & (_nearest(visible, offset) | self._jittered))[..., None]
@@ -74,7 +74,7 @@ class Taau:
             count = np.where(keep, np.clip(before[..., 3:], 0, MOST - 1) + 1, 1)
             share = np.where(keep, np.maximum(_trust(image.shape[:2], offset)[..., None] / count, 1 / MOST), 1)
             image = (history + (image - history) * share).astype(image.dtype)
-        self._shown, self._before = np.concatenate([image, count], axis=-1, dtype=np.float32), offset
+        self._history, self._before = np.concatenate([image, count], axis=-1, dtype=np.float32), offset
         return image
 
 

@@ -176,9 +176,9 @@ def gpu_report(folder: Path, device: str | None, *, tiny: bool, console: Console
     make_folder(folder / "logs")
     outcomes: list[StepResult] = []
     patience = PATIENCE if tiny else 1
-    planned = steps(folder, name, tiny=tiny)
-    with show_steps(console, len(planned)) as begin:
-        for step in (replace(each, limit=patience * each.limit) for each in planned):
+    todo = steps(folder, name, tiny=tiny)
+    with show_steps(console, len(todo)) as begin:
+        for step in (replace(each, limit=patience * each.limit) for each in todo):
             begin(f"{step.name}: up to {step.limit:.0f} s")
             outcomes.append(_run(step, folder / "logs" / f"{step.name}.txt", name))
             _write(folder, machine, outcomes, tiny=tiny)
@@ -194,7 +194,7 @@ def _run(step: Step, log: Path, device: str) -> StepResult:
         env = {**os.environ, "STSS_DEVICE": device, "COLUMNS": "160"}
         ending = run_alone(step.command, out, out, step.limit, folder=ROOT, env=env)
     outcome: Outcome = "passed" if ending.status == 0 else "failed"
-    if ending.status is None and not ending.talked:
+    if ending.status is None and not ending.has_talked:
         outcome = "over its limit"
     lines = [line.strip() for line in log.read_text(encoding="utf-8", errors="replace").splitlines() if line.strip()]
     return StepResult(step.name, outcome, round(time.monotonic() - start, 1), lines[-1] if lines else "")

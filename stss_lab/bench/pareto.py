@@ -192,9 +192,9 @@ def measure(setup: Setup, scene: str, settings: Sequence[ComputeOptions], count:
 def window_and_steps(frames: Sequence[DisplayFrame], number: int) -> tuple[Sequence[DisplayFrame], tuple[int, int, int]]:
     """The window of a display frame, and the steps of its schedule."""
     window = window_at(frames, number)
-    planned = plan(window)
-    assert planned is not None  # frame 0 is rendered
-    return window, planned.steps
+    schedule = plan(window)
+    assert schedule is not None  # frame 0 is rendered
+    return window, schedule.steps
 
 
 def _reference(frames: Sequence[DisplayFrame], number: int, weights: Weights) -> Image:

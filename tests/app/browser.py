@@ -34,7 +34,7 @@ def ask(path, script, width=1280, more=("--disable-gpu",)):
     outer.write_text(OUTER.format(src=path.resolve().as_uri(), width=width, script=script))
     options = ("--headless=new", "--no-sandbox", *more, "--allow-file-access-from-files")
     command = [find_browser(), *options, f"--user-data-dir={path.parent / 'profile'}", "--dump-dom", outer.as_uri()]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
-    result = re.search(r'<pre id="said">(.*?)</pre>', done.stdout, re.DOTALL)
-    assert result, done.stderr
+    process = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    result = re.search(r'<pre id="said">(.*?)</pre>', process.stdout, re.DOTALL)
+    assert result, process.stderr
     return json.loads(html.unescape(result[1]))

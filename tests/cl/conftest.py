@@ -48,14 +48,14 @@ def gpu():
 def opened_as(device_class):
     """Opened once: its programs stay built."""
     try:
-        opened = open_device(device_class=device_class)
+        device = open_device(device_class=device_class)
     except DeviceError as error:
         pytest.skip(str(error))
-    if device_class == "cpu" and opened.kind != "CPU":
-        pytest.skip(f"{opened.name} is no processor")
-    if device_class == "gpu" and opened.kind == "CPU":
-        return LikeGpu(opened.handle, opened.context, opened.queue, "gpu")
-    return opened
+    if device_class == "cpu" and device.kind != "CPU":
+        pytest.skip(f"{device.name} is no processor")
+    if device_class == "gpu" and device.kind == "CPU":
+        return LikeGpu(device.handle, device.context, device.queue, "gpu")
+    return device
 
 
 def anew(device):

@@ -49,12 +49,12 @@ def bare(tmp_path):
 
 def compute(env, command=(), **more):
     """A kernel of the self-test, built and launched in a process of its own; returns its ``$POCL_CACHE_DIR``."""
-    done = subprocess.run(
+    process = subprocess.run(
         [*command, sys.executable, "-c", COMPUTE], env=env, capture_output=True, text=True, timeout=120, check=False, **more
     )
-    assert done.stdout.startswith("computed"), done.stderr
-    assert not done.stderr
-    return done.stdout.split()[1]
+    assert process.stdout.startswith("computed"), process.stderr
+    assert not process.stderr
+    return process.stdout.split()[1]
 
 
 DAMAGE = {
@@ -82,9 +82,9 @@ def test_a_damaged_kernel_is_built_anew(processor, bare, tmp_path, damages):
     for how in damages:
         for path, data in before.items():
             path.write_bytes(DAMAGE[how](data))
-        done = subprocess.run([sys.executable, "-c", COMPUTE], env=bare, capture_output=True, text=True, check=False)
-        assert done.stdout.startswith("computed"), (how, done.stderr)
-        (line,) = done.stderr.splitlines()
+        process = subprocess.run([sys.executable, "-c", COMPUTE], env=bare, capture_output=True, text=True, check=False)
+        assert process.stdout.startswith("computed"), (how, process.stderr)
+        (line,) = process.stderr.splitlines()
         assert "files are damaged and are built again" in line, how
         assert str(home / ".cache" / "stss" / "pocl") in line
         before = {path: path.read_bytes() for path in kernels(home)}
@@ -181,10 +181,10 @@ def test_all_caches_lie_in_one_private_folder(processor, bare, tmp_path):
     """Whatever the umask; of the command, and of whatever else is imported: PyOpenCL's pickles are not there."""
     write_demo_sequence(tmp_path, 2, (16, 24))
     environment = bare | {"XDG_CACHE_HOME": ""}
-    done = stss(
+    process = stss(
         "run", tmp_path / "frames", "-o", tmp_path / "out", "--weights", "bilinear", "--backend", "ref", env=environment, umask=0
     )
-    assert done.returncode == 0, done.stderr
+    assert process.returncode == 0, process.stderr
     assert compute(bare, umask=0) == "None"
     home = tmp_path / "home"
     drivers = {Path(".cache/mesa_shader_cache")} if processor.name.startswith("rusticl:") else set()  # Mesa's own

@@ -46,10 +46,10 @@ def test_the_frame_is_the_references(frame_and_weights, data, size, seed, steps)
     moving = np.stack(chain) if chain else np.zeros((0, *size, 2))
     inputs = frame_inputs(size, seed, steps, motions=moving, **uneven(size, seed))
     want, want_valid = frame(inputs, weights)
-    read = colors_read(weights, find_live(weights))
+    depth_of_colors = colors_read(weights, find_live(weights))
     spoilt = {"colors": inputs.colors.copy()} | {n: getattr(inputs, n).copy() for n in ("stencils", "normals", "positions")}
     for name, array in spoilt.items():
-        array[read + (name != "colors") :] = np.nan
+        array[depth_of_colors + (name != "colors") :] = np.nan
     image, valid = ours(**vars(replace(inputs, **spoilt)))
     np.testing.assert_array_equal(valid, want_valid)
     assert ratio(f"network.cl.{ours.precision}", image, want.astype(np.float64)) <= 1

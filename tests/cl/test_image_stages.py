@@ -310,7 +310,7 @@ def test_prepare_sees_what_is_not_finite(device, steps):
 
 def test_accumulation_of_frames_in_turns(device):
     """Sizes change; arrays are read in place or, at an address that OpenCL does not take, copied; and an answer is the caller's."""
-    accumulate_frames, random, shown = Accumulate(device), np.random.default_rng(3), []
+    accumulate_frames, random, answers = Accumulate(device), np.random.default_rng(3), []
     for size in ((5, 7), (24, 40), (5, 7)):
         display = tuple(2 * length for length in size)
         image, before = (random.random((*display, 3), np.float32) for _ in range(2))
@@ -319,6 +319,6 @@ def test_accumulation_of_frames_in_turns(device):
         odd = np.empty(image.size + 1, np.float32)[1:].reshape(image.shape)
         odd[:] = image
         want = accumulate(image, before, motion)
-        shown += [(accumulate_frames(each, before, motion), want) for each in (image, odd)]
-    for got, want in shown:
+        answers += [(accumulate_frames(each, before, motion), want) for each in (image, odd)]
+    for got, want in answers:
         np.testing.assert_array_equal(got, want)

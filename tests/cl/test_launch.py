@@ -133,13 +133,13 @@ def test_a_driver_need_not_know_the_names(processor, kernels, buffers, monkeypat
 )
 def test_names_are_those_of_the_compiler(processor, file, options):
     """Of the files whose arguments stand in groups or depend on options; numbers and structs have the same type."""
-    built = program.build(processor, file, options, "-cl-kernel-arg-info -cl-opt-disable").built
-    for kernel in built.all_kernels():
+    handle = program.build(processor, file, options, "-cl-kernel-arg-info -cl-opt-disable").handle
+    for kernel in handle.all_kernels():
         queries = cl.kernel_arg_info.NAME, cl.kernel_arg_info.TYPE_NAME
         compiled = [[kernel.get_arg_info(i, what).strip("\0") for what in queries] for i in range(kernel.num_args)]
-        read = signatures.arguments(program.source(file), kernel.function_name, options.keys())
-        assert [name for name, _ in read] == [name for name, _ in compiled]
-        for (_, kind), (_, type_name) in zip(read, compiled, strict=True):
+        from_source = signatures.arguments(program.source(file), kernel.function_name, options.keys())
+        assert [name for name, _ in from_source] == [name for name, _ in compiled]
+        for (_, kind), (_, type_name) in zip(from_source, compiled, strict=True):
             assert kind == type_name if "*" not in kind else type_name.endswith("*")
 
 

@@ -49,8 +49,8 @@ def objects(tmp_path_factory):
     ours = f'exec "{sys.executable}" -I -S "{linker.PROGRAM}" "$@"'
     (folder / "ld").write_text(f'#!/bin/sh\nfor a in "$@"; do case "$a" in *.o) cp "$a" "{folder}";; esac; done\n{ours}\n')
     (folder / "ld").chmod(0o700)
-    done = compute(tmp_path_factory.mktemp("cache"), f"{folder}:{os.environ['PATH']}", STSS_LINKER="system")
-    assert done.returncode == 0, done.stderr
+    process = compute(tmp_path_factory.mktemp("cache"), f"{folder}:{os.environ['PATH']}", STSS_LINKER="system")
+    assert process.returncode == 0, process.stderr
     return [path.read_bytes() for path in folder.glob("*.o")]
 
 
@@ -92,12 +92,12 @@ def test_what_it_does_not_know_is_refused(objects, symbol, kind, words):
 )
 def test_what_it_cannot_do_is_one_line(tmp_path, arguments, words):
     (tmp_path / "text.o").write_bytes(b"text" * 40)
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-I", "-S", linker.PROGRAM, *arguments], cwd=tmp_path, capture_output=True, text=True, check=False
     )
-    assert done.returncode == 1
-    assert words in done.stderr
-    assert len(done.stderr.splitlines()) == 1
+    assert process.returncode == 1
+    assert words in process.stderr
+    assert len(process.stderr.splitlines()) == 1
     assert not (tmp_path / "out.so").exists()
 
 

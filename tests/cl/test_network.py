@@ -263,7 +263,7 @@ def without_units(weights, seed):
         fates[layer.name] = fate = random.integers(5, size=8).repeat(8)[: layer.outputs]
         fates |= {name: np.zeros(SOURCES[name]) for name in layer.reads if name in SOURCES}
         fates["reshaded"] = fates.get("latentEncoder.4")
-        columns = np.concatenate([np.tile(fates[read], 3 if read == "convHis3.4" else 1) for read in layer.reads])
+        columns = np.concatenate([np.tile(fates[name], 3 if name == "convHis3.4" else 1) for name in layer.reads])
         for name, shape in layer.tensors():
             tensor = np.abs(tensors[name]) if len(shape) == 1 else tensors[name].copy()
             if len(shape) == 4:

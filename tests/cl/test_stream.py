@@ -35,7 +35,7 @@ def sequences(draw):
     for last, length, where in odd:  # out of turn, repeated, or with the beginning cut off
         calls.insert(where, (last, length))
     windows = [frames[max(0, last - length + 1) : last + 1] for last, length in calls]
-    return [(window, planned.steps) for window in windows if (planned := plan(window))]
+    return [(window, schedule.steps) for window in windows if (schedule := plan(window))]
 
 
 @pytest.fixture(
@@ -184,8 +184,8 @@ def test_the_attention_sees_keys_that_changed_alone(device):
     """Where its values are the same everywhere nothing else brings the change to it."""
     weights = WEIGHTS | {n: w * 0 for n, w in WEIGHTS.items() if n.startswith("latentEncoder") and n.endswith("weight")}
     keeping, plain, frames = Stream(weights, device), Stream(weights, device, skip="off"), still(13, (40, 128))
-    for i, left in ((8, 0), (10, 5), (12, 15)):
-        frames[i].gbuffer[:, 8 * left : 8 * left + 8] *= 0.5
+    for i, column in ((8, 0), (10, 5), (12, 15)):
+        frames[i].gbuffer[:, 8 * column : 8 * column + 8] *= 0.5
     for i, call in enumerate(calls_of(frames)):
         got = keeping(*call)
         if i in (8, 10, 12):

@@ -11,13 +11,13 @@ from stss_cl.device.grid import ceil_div
 from stss_cl.device.parts import make_zeros
 from stss_cl.network.tiles import Maps, TileList, Tiling, find_tiles
 
-READ = [((4, 4), 1, 0), ((4, 4), 1, -1), ((4, 4), 0, -1), ((4, 4), 2, 1), ((2, 2), 1, 0), ((4, 32), 1, 0), ((8, 64), 1, -1)]
+READS = [((4, 4), 1, 0), ((4, 4), 1, -1), ((4, 4), 0, -1), ((4, 4), 2, 1), ((2, 2), 1, 0), ((4, 32), 1, 0), ((8, 64), 1, -1)]
 MARKED = st.tuples(st.integers(0, 2), st.integers(0, 35), st.sampled_from((0, 3, 4, 8, 31, 63, 64, 127, 255, 256, -1)))
 
 
-@given(st.sampled_from(READ), st.integers(1, 3), st.booleans(), st.integers(1, 9), st.sampled_from((1, 2, 16, 63, 64, 65, 129)),
+@given(st.sampled_from(READS), st.integers(1, 3), st.booleans(), st.integers(1, 9), st.sampled_from((1, 2, 16, 63, 64, 65, 129)),
        st.lists(MARKED, max_size=5))  # fmt: skip
-@example(READ[6], 1, False, 3, 65, [(0, 0, 63), (0, 11, 255)])  # the last that a tile reads; what two work-items read
+@example(READS[6], 1, False, 3, 65, [(0, 0, 63), (0, 11, 255)])  # the last that a tile reads; what two work-items read
 def test_tiles_are_listed_that_marks_reach(device, read, count, images, fours_down, fours_across, marked):
     (height, width), (step, before, beyond) = (4 * fours_down, 4 * fours_across), read
     size = [ceil_div(length, s) for length, s in zip((height, width), step, strict=True)]

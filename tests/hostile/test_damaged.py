@@ -70,9 +70,9 @@ def test_no_damaged_file_does_harm(places, kind, data):
     whole = path.read_bytes()
     path.write_bytes(data.draw(damaged(whole, head)))
     try:
-        done = call(*command)
+        process = call(*command)
     finally:
         path.write_bytes(whole)
-    assert done.returncode in statuses, done.stderr
-    assert len(done.stderr.splitlines()) == (done.returncode == 2 and not done.stdout), done.stderr
-    assert all(line.isprintable() for line in [*done.stderr.splitlines(), *done.stdout.splitlines()])
+    assert process.returncode in statuses, process.stderr
+    assert len(process.stderr.splitlines()) == (process.returncode == 2 and not process.stdout), process.stderr
+    assert all(line.isprintable() for line in [*process.stderr.splitlines(), *process.stdout.splitlines()])

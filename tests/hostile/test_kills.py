@@ -26,15 +26,15 @@ class States:
     """The states of a folder, each once: path -> bytes, None for a folder."""
 
     def __init__(self):
-        self._folder, self._found = None, []
+        self._folder, self._states = None, []
         sys.addaudithook(self._see)  # which stays for good
 
     @contextlib.contextmanager
     def of(self, folder):
         """Yield the list of the states before each operation of the code within, and after the last."""
-        self._folder, self._found = folder, []
+        self._folder, self._states = folder, []
         try:
-            yield self._found
+            yield self._states
             self.keep()
         finally:
             self._folder = None
@@ -46,8 +46,8 @@ class States:
             state = {
                 path.relative_to(folder).as_posix(): None if path.is_dir() else path.read_bytes() for path in folder.rglob("*")
             }
-            if not self._found or state != self._found[-1]:
-                self._found.append(state)
+            if not self._states or state != self._states[-1]:
+                self._states.append(state)
             self._folder = folder
 
     def _see(self, event, arguments):

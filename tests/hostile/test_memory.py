@@ -63,15 +63,15 @@ def show(frames, length, *callers):
     """What each caller's stream, of (stream, caller), gives for each frame, and its report."""
     windows = [[] for _ in callers]
     for frame in frames:
-        got = []
+        answers = []
         for (stream, caller), window in zip(callers, windows, strict=True):
             del window[: max(0, len(window) + 1 - length)]
             window.append(caller(frame))
-            planned = plan(window)
-            if planned is not None:
-                got.append((stream(window, planned.steps), stream.cost))
-        if got:
-            yield got
+            schedule = plan(window)
+            if schedule is not None:
+                answers.append((stream(window, schedule.steps), stream.cost))
+        if answers:
+            yield answers
 
 
 @pytest.fixture(scope="module", params=["read", "unread"])

@@ -247,10 +247,10 @@ def test_nothing_judged_is_a_failure(tmp_path, monkeypatch, port, stages):
     (tmp_path / "few_ports.py").write_text(FEW)
     files = ["--json", "found.json", "--junit", "junit.xml", "--report", "page.html"]
     some = ["--stages", stages] if stages else []
-    done = CliRunner().invoke(command, ["conform", "--port", f"few_ports:{port}", *some, *files])
-    assert done.exit_code == 1
+    outcome = CliRunner().invoke(command, ["conform", "--port", f"few_ports:{port}", *some, *files])
+    assert outcome.exit_code == 1
     message = "nothing was judged: the port has none of the stages asked for"
-    assert message in done.output
+    assert message in outcome.output
     data = json.loads(Path("found.json").read_text())
     assert not data["passed"]
     assert not data["judged"]
@@ -277,9 +277,9 @@ def test_half_a_character_in_a_ports_error_is_an_escape(tmp_path, monkeypatch):
     monkeypatch.delitem(sys.modules, "odd_port", raising=False)
     (tmp_path / "odd_port.py").write_text(ODD)
     files = ["--json", "found.json", "--junit", "junit.xml", "--report", "page.html"]
-    done = CliRunner().invoke(command, ["conform", "--port", "odd_port:Port", "--stages", "rrm", "--fail-fast", *files])
-    assert (done.exit_code, type(done.exception)) == (1, SystemExit), done.output
-    assert "no \\ud800 good" in done.output
+    outcome = CliRunner().invoke(command, ["conform", "--port", "odd_port:Port", "--stages", "rrm", "--fail-fast", *files])
+    assert (outcome.exit_code, type(outcome.exception)) == (1, SystemExit), outcome.output
+    assert "no \\ud800 good" in outcome.output
     assert "no \\ud800 good" in Path("junit.xml").read_text()
     assert "no \\ud800 good" in Path("page.html").read_text()
     assert any("no \\ud800 good" in path.read_text() for path in Path("conform-failures").glob("*/README.txt"))
@@ -293,10 +293,10 @@ def test_a_failure_that_cannot_be_kept_is_told_all_the_same(tmp_path, monkeypatc
     with pytest.MonkeyPatch.context() as context:
         context.setattr(ReferencePort, "run", lambda *_: {})
         words = ["conform", "--port", "stss.port:ReferencePort", "--stages", "rrm", "--failures", "file/x"]
-        done = CliRunner().invoke(command, words)
-    assert (done.exit_code, type(done.exception)) == (1, SystemExit), done.output
-    assert "not kept: file/x: the folder cannot be made" in done.output
-    assert "--failures takes another folder" in done.output
+        outcome = CliRunner().invoke(command, words)
+    assert (outcome.exit_code, type(outcome.exception)) == (1, SystemExit), outcome.output
+    assert "not kept: file/x: the folder cannot be made" in outcome.output
+    assert "--failures takes another folder" in outcome.output
 
 
 def test_a_report_that_cannot_be_written_is_one_line(tmp_path, monkeypatch):
@@ -517,11 +517,13 @@ def test_native_code_that_ends_the_judge_names_its_line_and_as_a_program_its_cas
         "        return os.abort() if inputs['color'].shape[1] % 2 else super().run(stage, inputs, weights)",
     ]
     (tmp_path / "native.py").write_text("\n".join(lines))
-    done = stss("conform", "--port", "native:Port", "--stages", "warp", cwd=tmp_path, env={"PYTHONPATH": str(tmp_path)})
-    assert done.returncode < 0
-    assert f'native.py", line {len(lines)} in run' in done.stderr
+    outcome = stss("conform", "--port", "native:Port", "--stages", "warp", cwd=tmp_path, env={"PYTHONPATH": str(tmp_path)})
+    assert outcome.returncode < 0
+    assert f'native.py", line {len(lines)} in run' in outcome.stderr
     program = f"{sys.executable} -m stss port --port native:Port"
-    done = stss("conform", "--exec", program, "--stages", "warp", "--fail-fast", cwd=tmp_path, env={"PYTHONPATH": str(tmp_path)})
-    assert done.returncode == 1
-    assert "ended by SIGABRT" in done.stdout + done.stderr
+    outcome = stss(
+        "conform", "--exec", program, "--stages", "warp", "--fail-fast", cwd=tmp_path, env={"PYTHONPATH": str(tmp_path)}
+    )
+    assert outcome.returncode == 1
+    assert "ended by SIGABRT" in outcome.stdout + outcome.stderr
     assert (tmp_path / "conform-failures").is_dir()

@@ -30,8 +30,8 @@ def test_a_closed_stream_is_no_file(frames, tmp_path):
     words = f"{sys.executable} -m stss run {frames} -o {out} --weights bilinear --backend ref"
     assert subprocess.run(["sh", "-c", f"{words} <&- >&- 2>&-"], check=False).returncode == 0
     assert call("run", frames, "-o", out, "--weights", "bilinear", "--backend", "ref", "--resume").stderr.count("4 kept") == 1
-    done = subprocess.run(["sh", "-c", f"{words} 2>&-"], stdout=subprocess.PIPE, text=True, check=False)
-    assert (done.returncode, done.stdout) == (2, "")
+    process = subprocess.run(["sh", "-c", f"{words} 2>&-"], stdout=subprocess.PIPE, text=True, check=False)
+    assert (process.returncode, process.stdout) == (2, "")
 
 
 def test_little_memory_is_one_line(frames, tmp_path):
@@ -40,10 +40,10 @@ def test_little_memory_is_one_line(frames, tmp_path):
     def limit():
         resource.setrlimit(resource.RLIMIT_AS, (500 << 20, 500 << 20))
 
-    done = stss("run", frames, "-o", tmp_path / "out", "--weights", "bilinear", "--backend", "ref", preexec_fn=limit)
-    assert "Traceback" not in done.stderr
-    assert done.returncode in (0, 2)
-    assert done.stderr.splitlines()[-1].startswith("stss: ") == (done.returncode == 2)
+    process = stss("run", frames, "-o", tmp_path / "out", "--weights", "bilinear", "--backend", "ref", preexec_fn=limit)
+    assert "Traceback" not in process.stderr
+    assert process.returncode in (0, 2)
+    assert process.stderr.splitlines()[-1].startswith("stss: ") == (process.returncode == 2)
 
 
 @pytest.mark.parametrize("error", [MemoryError(), OSError(5, "Input/output error"), ImportError("failed to map segment from x")])

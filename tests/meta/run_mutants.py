@@ -74,27 +74,27 @@ def killers(name, seed=0, every=True):
 
 def seconds_by_generator():
     """Processor time of the quick tier on the reference, which ends the program if it fails anything."""
-    spent, last = Counter(), [process_time()]
+    seconds_of, last = Counter(), [process_time()]
 
     def take(result, _):
         if result.outcome != "passed":
             sys.exit(f"the reference fails {result.id}, so whatever that finds says nothing: {result.message}")
         now = process_time()
-        spent[generator(result.id)] += now - last[0]
+        seconds_of[generator(result.id)] += now - last[0]
         last[0] = now
 
     run_suite(Judge(ReferencePort(), TIERS["quick"]), SUITE, only="not users_size", on_result=take)
-    return spent
+    return seconds_of
 
 
-def table(found, spent):
+def table(found, seconds_of):
     """Markdown: a row for each generator. ``found``: the tests by mutant."""
     by = {name: {generator(test) for test in tests} for name, tests in found.items()}
     rows = ["| cases | find | find alone | alone, for example | seconds |", "|---|---|---|---|---|"]
     for word in ORDER:
         finds = [name for name, words in by.items() if word in words]
         alone = [name for name in finds if by[name] == {word}]
-        seconds = f"{spent[word]:.1f}" if spent[word] else ""
+        seconds = f"{seconds_of[word]:.1f}" if seconds_of[word] else ""
         rows.append(f"| {word} | {len(finds)} | {len(alone)} | {f'`{alone[0]}`' if alone else ''} | {seconds} |")
     return "\n".join(rows)
 

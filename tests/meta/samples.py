@@ -27,8 +27,8 @@ def samples(stage: str) -> tuple[Case, ...]:
     """Some inputs of ``stage``, the same at every call."""
     assert stage in _SAMPLES, f"{stage}: no samples; expected a row of tests/meta/samples.py"
     generator = np.random.default_rng(list(STAGES).index(stage))
-    sent = (make(generator) for make in engine_inputs(stage)) if stage in ENGINE_STAGES else ()
-    pairs = [*_SAMPLES[stage](generator), *(case if STAGES[stage].weights else (case, None) for case in sent)]
+    more = (make(generator) for make in engine_inputs(stage)) if stage in ENGINE_STAGES else ()
+    pairs = [*_SAMPLES[stage](generator), *(case if STAGES[stage].weights else (case, None) for case in more)]
     return tuple(Case(stage, _float32(inputs), weights) for inputs, weights in pairs)
 
 

@@ -90,8 +90,8 @@ def run(*arguments):
 
 
 def test_the_reference_passes(here):
-    done = run("--port", "stss.port:ReferencePort", "--stages", "rrm", "--json", "found.json")
-    assert done.exit_code == 0, done.output
+    outcome = run("--port", "stss.port:ReferencePort", "--stages", "rrm", "--json", "found.json")
+    assert outcome.exit_code == 0, outcome.output
     data = json.loads((here / "found.json").read_text())
     assert data["passed"]
     assert {test["stage"] for test in data["tests"]} == {"rrm"}
@@ -99,10 +99,10 @@ def test_the_reference_passes(here):
 
 
 def test_a_wrong_port_leaves_what_is_needed(here):
-    done = run("--port", "wrong_port:Port", "--report", "page.html", "--junit", "junit.xml", "--json", "found.json")
-    assert done.exit_code == 1
-    assert "warp.agrees_with_the_reference: warp.warped: error / bound" in done.output
-    assert "the port lacks it" in done.output
+    outcome = run("--port", "wrong_port:Port", "--report", "page.html", "--junit", "junit.xml", "--json", "found.json")
+    assert outcome.exit_code == 1
+    assert "warp.agrees_with_the_reference: warp.warped: error / bound" in outcome.output
+    assert "the port lacks it" in outcome.output
     folder = here / "conform-failures" / "warp.agrees_with_the_reference"
     color = np.load(folder / "0000" / "in" / "color.npy")
     assert max(color.shape) <= 2  # as small as it gets
@@ -128,22 +128,22 @@ def test_a_wrong_port_leaves_what_is_needed(here):
 
 def test_a_failure_is_told_when_it_occurs(here):
     """The report counts all tests; the rest is not run, and the JSON says that it is incomplete."""
-    done = run("--port", "wrong_port:Port", "--stages", "warp", "--fail-fast", "--json", "found.json")
-    assert done.exit_code == 1
-    assert re.search(r"^1 of \d+ tests: failed: warp\.agrees_with_the_reference: .* looks like", done.output, re.M)
-    assert "stopped after 1 of" in done.output
+    outcome = run("--port", "wrong_port:Port", "--stages", "warp", "--fail-fast", "--json", "found.json")
+    assert outcome.exit_code == 1
+    assert re.search(r"^1 of \d+ tests: failed: warp\.agrees_with_the_reference: .* looks like", outcome.output, re.M)
+    assert "stopped after 1 of" in outcome.output
     data = json.loads((here / "found.json").read_text())
     assert (data["complete"], data["passed"], len(data["tests"])) == (False, False, 1)
 
 
 def test_a_stage_that_is_required_and_lacking_is_a_failure(here):
-    done = run("--port", "wrong_port:Port", "--stages", "rrm", "--require", "rrm,holes", "--junit", "junit.xml")
-    assert done.exit_code == 1
-    assert "failed: suite.required_stages_are_there: the port has no stage holes" in done.output
+    outcome = run("--port", "wrong_port:Port", "--stages", "rrm", "--require", "rrm,holes", "--junit", "junit.xml")
+    assert outcome.exit_code == 1
+    assert "failed: suite.required_stages_are_there: the port has no stage holes" in outcome.output
     assert "required_stages_are_there" in (here / "junit.xml").read_text()
-    done = run("--port", "wrong_port:Port", "--stages", "rrm", "--require", "warp")
-    assert done.exit_code == 1
-    assert "not among the stages that are judged: warp" in done.output
+    outcome = run("--port", "wrong_port:Port", "--stages", "rrm", "--require", "warp")
+    assert outcome.exit_code == 1
+    assert "not among the stages that are judged: warp" in outcome.output
 
 
 def test_what_an_interrupted_run_found_is_left(here):
@@ -157,9 +157,9 @@ def test_what_an_interrupted_run_found_is_left(here):
         "        if Port.calls > 22: raise KeyboardInterrupt\n"
         "        return super().run(*given)\n"
     )
-    done = run("--port", "stopping:Port", "--stages", "rrm", "--json", "found.json")
-    assert done.exit_code == 1
-    assert "stopped after 1 of 3 tests" in done.output
+    outcome = run("--port", "stopping:Port", "--stages", "rrm", "--json", "found.json")
+    assert outcome.exit_code == 1
+    assert "stopped after 1 of 3 tests" in outcome.output
     data = json.loads((here / "found.json").read_text())
     assert [test["outcome"] for test in data["tests"]] == ["passed"]
     assert not data["complete"]
@@ -211,23 +211,23 @@ def test_known_failures(here):
     failed = [test["id"] for test in json.loads((here / "found.json").read_text())["tests"] if test["outcome"] == "failed"]
     assert len(failed) > 1
     write_known(here, [*failed, "holes.agrees_with_the_reference"])  # the last stage is not judged, and does not count
-    done = run(
+    outcome = run(
         "--port", "wrong_port:Inverted", "--stages", "rrm", "--known-failures", "known", "--junit", "junit.xml", "--fail-fast"
     )
-    assert done.exit_code == 0, done.output
+    assert outcome.exit_code == 0, outcome.output
     counts = ElementTree.parse(here / "junit.xml").getroot()[0]
     assert (counts.get("failures"), counts.get("errors"), counts.get("skipped")) == ("0", "0", str(len(failed)))
-    assert "known until 2999-01-01: https://example.org/1" in done.output
+    assert "known until 2999-01-01: https://example.org/1" in outcome.output
     # After that day they are failures again.
     write_known(here, failed, "2020-02-29")
-    done = run("--port", "wrong_port:Inverted", "--stages", "rrm", "--known-failures", "known")
-    assert done.exit_code == 1
-    assert "known until 2020-02-29, which is past: https://example.org/1" in done.output
+    outcome = run("--port", "wrong_port:Inverted", "--stages", "rrm", "--known-failures", "known")
+    assert outcome.exit_code == 1
+    assert "known until 2020-02-29, which is past: https://example.org/1" in outcome.output
     # On a right port the list is wrong, and the report says so.
     write_known(here, failed)
-    done = run("--port", "stss.port:ReferencePort", "--stages", "rrm", "--known-failures", "known", "--junit", "junit.xml")
-    assert done.exit_code == 1
-    assert "take it off the list" in done.output
+    outcome = run("--port", "stss.port:ReferencePort", "--stages", "rrm", "--known-failures", "known", "--junit", "junit.xml")
+    assert outcome.exit_code == 1
+    assert "take it off the list" in outcome.output
     assert ElementTree.parse(here / "junit.xml").getroot()[0].get("failures") == str(len(failed))
     write_known(here, ["warp.no_such_test"])
     text = call("conform", "--port", "wrong_port:Port", "--stages", "rrm", "--known-failures", "known").stderr
@@ -292,18 +292,18 @@ def test_a_port_that_does_not_load_is_one_line(tmp_path, monkeypatch, source, wo
     ],
 )
 def test_mistakes_are_one_line(here, arguments, words):
-    done = call("conform", *arguments)
-    assert done.returncode == 2
-    assert words in done.stderr
-    assert len(done.stderr.splitlines()) == 1
+    outcome = call("conform", *arguments)
+    assert outcome.returncode == 2
+    assert words in outcome.stderr
+    assert len(outcome.stderr.splitlines()) == 1
 
 
 @pytest.mark.parametrize(("port", "words"), [("Crash", "MemoryError: no device"), ("Shape", "expected shape")])
 def test_a_port_that_breaks_is_judged(here, port, words):
     """It neither ends the run nor passes."""
-    done = run("--port", f"wrong_port:{port}", "--stages", "rrm")
-    assert done.exit_code == 1
-    assert words in done.output
+    outcome = run("--port", f"wrong_port:{port}", "--stages", "rrm")
+    assert outcome.exit_code == 1
+    assert words in outcome.output
 
 
 def test_seeds_differ_and_repeat():
@@ -357,6 +357,6 @@ def test_the_example_in_cpp_passes(tmp_path):
     messages = {b"1": "no such entry in version 1", b"2": "expected stss_weights_version", b"3": "expected newest,"}
     for version, words in messages.items():
         file.write_bytes(whole.replace(b'"4"', b'"' + version + b'"'))
-        done = subprocess.run([tmp_path / "cpp" / "port", tmp_path / "job"], capture_output=True, text=True, check=False)
-        assert (done.returncode, done.stderr.count("\n")) == (2, 1)
-        assert words in done.stderr
+        outcome = subprocess.run([tmp_path / "cpp" / "port", tmp_path / "job"], capture_output=True, text=True, check=False)
+        assert (outcome.returncode, outcome.stderr.count("\n")) == (2, 1)
+        assert words in outcome.stderr

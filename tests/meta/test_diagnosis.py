@@ -88,7 +88,7 @@ def test_the_answers_that_are_right_count_too():
     with pytest.raises(DepartureError) as error:
         judge.check(find_property("warp.agrees_with_the_reference"), case.inputs)
     assert "to the left" in diagnose(judge, [error.value.finding])
-    judge.answered.append((case, ReferencePort().run("warp", case.inputs)))
+    judge.answers.append((case, ReferencePort().run("warp", case.inputs)))
     assert "to the left" not in diagnose(judge, [error.value.finding])
 
 

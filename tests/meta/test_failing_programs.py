@@ -71,11 +71,11 @@ def judged(tmp_path, monkeypatch):
 )
 def test_a_stage_that_fails_at_once_has_a_folder_and_a_replay(judged, tmp_path, fault, serves, words):
     """No place is named that is not there, no job is left behind; the folder passes when the program is mended."""
-    done = judged(fault, ["rrm"], "--stages", "rrm", "--fail-fast", serves=serves)
-    assert done.exit_code == 1, done.output
-    (folder,) = (Path(line.split(" --replay ")[1]) for line in done.output.splitlines() if " --replay " in line)
-    assert words in done.output
-    assert "no such device: 0000" in done.output
+    result = judged(fault, ["rrm"], "--stages", "rrm", "--fail-fast", serves=serves)
+    assert result.exit_code == 1, result.output
+    (folder,) = (Path(line.split(" --replay ")[1]) for line in result.output.splitlines() if " --replay " in line)
+    assert words in result.output
+    assert "no such device: 0000" in result.output
     assert words in (folder / "README.txt").read_text()
     again = judged(fault, ["rrm"], "--replay", str(folder), serves=serves)
     assert again.exit_code == 1
@@ -93,9 +93,9 @@ def test_a_program_has_the_stages_that_it_answers_and_those_at_which_it_fails(ju
 
 def test_a_program_that_fails_everywhere_is_no_port(judged, tmp_path):
     """One error, not a hundred failures."""
-    done = judged("os.abort()", ["rrm", "warp"], "--stages", "rrm,warp")
-    assert isinstance(done.exception, InputError)
+    result = judged("os.abort()", ["rrm", "warp"], "--stages", "rrm,warp")
+    assert isinstance(result.exception, InputError)
     words = "warp and each other stage that was asked for fails; --stages warp judges it alone; python: ended by SIGABRT"
-    assert words in str(done.exception)
-    assert "no such device" in str(done.exception)
+    assert words in str(result.exception)
+    assert "no such device" in str(result.exception)
     assert not list((tmp_path / "jobs").iterdir())

@@ -345,8 +345,8 @@ def test_engines_in_float32_pass(model, engine, tmp_path):
         "--report",
         str(tmp_path / "a.html"),
     ]
-    done = CliRunner().invoke(conform, words)
-    assert done.exit_code == 0, done.output
+    outcome = CliRunner().invoke(conform, words)
+    assert outcome.exit_code == 0, outcome.output
     data = json.loads((tmp_path / "a.json").read_text())
     schema = json.loads((Path(report.__file__).parents[1] / "report" / "schemas" / "graph-results.schema.json").read_text())
     jsonschema.validate(data, schema)
@@ -389,15 +389,15 @@ def test_what_is_not_known_is_listed_and_the_part_before_it_judged(tmp_path):
 )  # fmt: skip
 def test_bad_files_are_one_line(words, words_of, tmp_path):
     (tmp_path / "bad.onnx").write_bytes(b"\x08\x01\x12junk")
-    done = CliRunner().invoke(conform, ["--onnx", str(tmp_path / "bad.onnx"), *words])
-    assert words_of in str(done.exception)
-    assert "\n" not in str(done.exception)
+    outcome = CliRunner().invoke(conform, ["--onnx", str(tmp_path / "bad.onnx"), *words])
+    assert words_of in str(outcome.exception)
+    assert "\n" not in str(outcome.exception)
 
 
 def test_another_opset_is_refused(tmp_path):
     onnx.save(model_of([helper.make_node("Relu", ["x"], ["y"])], {"x": [1]}, {"y": 1}, opset=11), tmp_path / "old.onnx")
-    done = CliRunner().invoke(conform, ["--onnx", str(tmp_path / "old.onnx"), "--port", "onnxruntime"])
-    assert "expected opset 13 to 22, found 11" in str(done.exception)
+    outcome = CliRunner().invoke(conform, ["--onnx", str(tmp_path / "old.onnx"), "--port", "onnxruntime"])
+    assert "expected opset 13 to 22, found 11" in str(outcome.exception)
 
 
 @pytest.mark.parametrize(
@@ -436,9 +436,9 @@ def test_a_program_is_judged_by_its_job_folder(tmp_path):
         "np.save(case / 'out' / 'y.npy', -x)\n"
     )
     command = f"{sys.executable} {tmp_path / 'port.py'}"
-    done = CliRunner().invoke(conform, ["--onnx", str(tmp_path / "m.onnx"), "--exec", command])
-    assert done.exit_code == 0, done.output
-    assert "2 tensors judged" in done.output
+    outcome = CliRunner().invoke(conform, ["--onnx", str(tmp_path / "m.onnx"), "--exec", command])
+    assert outcome.exit_code == 0, outcome.output
+    assert "2 tensors judged" in outcome.output
 
 
 ONE_NODE_PORT = """
@@ -475,9 +475,9 @@ def one_node(tmp_path, monkeypatch):
 
 def test_a_failure_is_kept_and_run_again(one_node, tmp_path):
     """As of ports of STSS: the smallest case with the right answer, its picture, and the command that runs it again."""
-    done = one_node(1.001, "--json", "a.json", "--junit", "a.xml", "--report", "a.html")
+    outcome = one_node(1.001, "--json", "a.json", "--junit", "a.xml", "--report", "a.html")
     again = "stss conform --onnx m.onnx --port one_node_port:Port --replay conform-failures/m.onnx"
-    assert (done.exit_code, again in done.output) == (1, True)
+    assert (outcome.exit_code, again in outcome.output) == (1, True)
     folder = tmp_path / "conform-failures" / "m.onnx"
     assert again in (folder / "README.txt").read_text()
     assert "first departs at y/1 (Relu)" in (folder / "README.txt").read_text()
@@ -504,8 +504,8 @@ def test_what_a_port_keeps_from_call_to_call_fails_again(one_node, tmp_path):
     """It is right on the failing case alone, so those before it are kept, too."""
     assert one_node(1).exit_code == 0
     words = ["--onnx", "m.onnx", "--port", "one_node_port:Keeps"]
-    done = CliRunner().invoke(conform, words)
-    assert "keeps state from call to call" in done.output
+    outcome = CliRunner().invoke(conform, words)
+    assert "keeps state from call to call" in outcome.output
     assert len(read_drawn(tmp_path / "conform-failures" / "m.onnx" / "property")[1]) == 3
     assert CliRunner().invoke(conform, [*words, "--replay", "conform-failures/m.onnx"]).exit_code == 1
 
@@ -521,9 +521,9 @@ def test_what_a_port_keeps_from_call_to_call_fails_again(one_node, tmp_path):
 )  # fmt: skip
 def test_options_that_do_not_fit_are_one_line(one_node, tmp_path, words, message):
     np.save(tmp_path / "a.npy", np.zeros(3, np.float32))
-    done = one_node(1, *words)
-    assert message in str(done.exception)
-    assert "\n" not in str(done.exception)
+    outcome = one_node(1, *words)
+    assert message in str(outcome.exception)
+    assert "\n" not in str(outcome.exception)
 
 
 def test_options_of_any_network_need_one():
@@ -552,7 +552,7 @@ def test_a_ports_source_is_not_replaced_by_a_report(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(tmp_path))
     words = ["--onnx", "m.onnx", "--port", "own_graph_port:Port"]
     assert CliRunner().invoke(conform, words).exit_code == 0
-    done = CliRunner().invoke(conform, [*words, "--report", "own_graph_port.py"])
-    assert done.exit_code != 0
-    assert "own_graph_port.py" in str(done.exception)
+    outcome = CliRunner().invoke(conform, [*words, "--report", "own_graph_port.py"])
+    assert outcome.exit_code != 0
+    assert "own_graph_port.py" in str(outcome.exception)
     assert (tmp_path / "own_graph_port.py").read_text() == source

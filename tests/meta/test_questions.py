@@ -156,16 +156,16 @@ def test_cases_are_drawn_once_unless_one_fails():
 
 def test_what_is_not_made_smaller_ends_at_the_first_failure():
     """Though the errors of right answers could be steered on."""
-    asked = []
+    answers = []
 
     @cases(st.tuples(st.integers(0, 10**6), st.integers(0, 10**6)))
     def test(judge, numbers):
-        asked.append(max(numbers) > 999_900)
+        answers.append(max(numbers) > 999_900)
         judge.near = dict(zip("ab", numbers, strict=True))
-        if asked[-1]:
+        if answers[-1]:
             raise DepartureError(Finding("too much", smallest_case("warp"), "warped", None, None))
         yield from ()
 
     with pytest.raises(DepartureError):
         test(Judge(ReferencePort(), Tier("some", 400, 5), shrink=False))
-    assert sum(asked) == 1
+    assert sum(answers) == 1

@@ -23,7 +23,7 @@ FOLDER = Path(conformance.report.__file__).parent / "schemas"
 PAGE = Path(__file__).parents[2] / "docs" / "ports.md"
 FEW = Tier("quick", 12, 3, 1)
 DESCR = {"float": "<f4", "uint8": "|u1", "int": "<i4"}
-KNOWN = {"format": 1, "failures": [{"test": "warp.the_same_twice", "until": "2999-01-01", "reason": "why"}]}
+KNOWN_FAILURES = {"format": 1, "failures": [{"test": "warp.the_same_twice", "until": "2999-01-01", "reason": "why"}]}
 
 NAMED = {"stages", "inputs", "outputs", "layers", "error_over_bound"}
 """Objects whose keys are names of stages, arrays, outputs or layers."""
@@ -49,7 +49,7 @@ def samples(tmp_path_factory):
     return {
         "results": to_json(judge, results, {}, len(results)),
         "cases": cases,
-        "known-failures": KNOWN,
+        "known-failures": KNOWN_FAILURES,
         "stages": json.loads((FOLDER / "stages.json").read_text()),
         "results of a wrong port": to_json(wrong, failed, {failed[0].id: folder}, len(failed), complete=False),
     }
@@ -135,7 +135,7 @@ def test_the_schemas_know_all_stages():
     ],
 )
 def test_known_failures_are_read_as_their_schema_says(tmp_path, entry, words):
-    text = {"format": 1, "failures": [{**KNOWN["failures"][0], **entry}]}
+    text = {"format": 1, "failures": [{**KNOWN_FAILURES["failures"][0], **entry}]}
     (tmp_path / "known").write_text(json.dumps(text))
     message = ""
     try:

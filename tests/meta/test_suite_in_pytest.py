@@ -45,18 +45,18 @@ def test_a_checkout_judges_a_port(here):
     entries = [{"test": "rrm.large_frames_agree_with_the_reference", "until": "2999-01-01", "reason": "https://example.org/1"}]
     (here / "known.json").write_text(json.dumps({"format": 1, "failures": entries}))
     options = ["--port", "my_port:Port", "-k", "rrm or warp and channels", "--junitxml", "junit.xml"]
-    done = run(here, FOLDER, *options)
-    assert done.returncode == 1, done.stdout + done.stderr
-    assert "1 failed, 2 passed, 1 skipped" in done.stdout
-    assert "rrm.valid: wrong at" in done.stdout
+    process = run(here, FOLDER, *options)
+    assert process.returncode == 1, process.stdout + process.stderr
+    assert "1 failed, 2 passed, 1 skipped" in process.stdout
+    assert "rrm.valid: wrong at" in process.stdout
     folder = "conform-failures/rrm.large_frames_agree_with_the_reference"
-    assert f"stss conform --port my_port:Port --replay {folder}" in done.stdout
+    assert f"stss conform --port my_port:Port --replay {folder}" in process.stdout
     assert (here / folder / "README.txt").exists()
     suite = ElementTree.parse(here / "junit.xml").getroot()[0]
     assert [suite.get(name) for name in ("tests", "failures", "skipped")] == ["4", "1", "1"]
-    done = run(here, INSTALLED, *options, "--known-failures", "known.json")
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert "1 xfailed" in done.stdout
+    process = run(here, INSTALLED, *options, "--known-failures", "known.json")
+    assert process.returncode == 0, process.stdout + process.stderr
+    assert "1 xfailed" in process.stdout
 
 
 @pytest.mark.parametrize(
@@ -68,13 +68,13 @@ def test_a_checkout_judges_a_port(here):
     ],
 )
 def test_a_mistake_is_one_line(here, arguments, words):
-    done = run(here, FOLDER, *arguments)
-    assert done.returncode == 4
-    assert words in done.stderr
-    assert "Traceback" not in done.stderr
+    process = run(here, FOLDER, *arguments)
+    assert process.returncode == 4
+    assert words in process.stderr
+    assert "Traceback" not in process.stderr
 
 
 def test_a_run_in_which_nothing_was_judged_does_not_pass(here):
-    done = run(here, FOLDER, "--port", "my_port:Port", "-k", "channels_do_not_mix")
-    assert done.returncode == 1
-    assert "nothing was judged: the port has none of the stages asked for" in done.stdout
+    process = run(here, FOLDER, "--port", "my_port:Port", "-k", "channels_do_not_mix")
+    assert process.returncode == 1
+    assert "nothing was judged: the port has none of the stages asked for" in process.stdout

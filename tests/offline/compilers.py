@@ -170,11 +170,11 @@ def _number(pattern: str, text: str) -> int:
 def _run(command: list[str], more: Mapping[str, str] | None = None) -> str:
     environment = {**os.environ, **(more or {})}
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT, check=False, env=environment)
+        process = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT, check=False, env=environment)
     except subprocess.TimeoutExpired:
         raise CompileError(f"{Path(command[0]).name}: no end after {LIMIT} s") from None
-    output = done.stdout + done.stderr
-    if done.returncode:
-        wrong = [line for line in output.splitlines() if "error" in line] or [f"status {done.returncode}"]
+    output = process.stdout + process.stderr
+    if process.returncode:
+        wrong = [line for line in output.splitlines() if "error" in line] or [f"status {process.returncode}"]
         raise CompileError(f"{Path(command[0]).name}: {wrong[0]}")
     return output

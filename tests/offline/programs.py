@@ -53,7 +53,7 @@ def programs(row):
         Program(
             file,
             tuple(options.replace(" -D EMULATE", "").split()),
-            tuple(sorted(kernel.function_name for kernel in built.built.all_kernels())),
+            tuple(sorted(kernel.function_name for kernel in program_of_file.handle.all_kernels())),
         )
-        for (file, options), built in program.programs_of(device).items()
+        for (file, options), program_of_file in program.programs_of(device).items()
     ]

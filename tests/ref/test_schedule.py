@@ -42,12 +42,12 @@ def test_where_the_history_ends(number, rendered, reach, planned):
 
 @given(number=st.integers(0, 50), rendered=st.frozensets(st.integers(0, 60)), reach=st.integers(0, 5))
 def test_only_rendered_frames_and_none_of_the_future(number, rendered, reach):
-    planned = schedule(number, rendered, reach=reach)
-    if planned is None:
+    answer = schedule(number, rendered, reach=reach)
+    if answer is None:
         assert number not in rendered
         return
-    assert (planned.kind is FrameKind.SF) == (number in rendered)
-    for i, step in enumerate(planned.steps):
+    assert (answer.kind is FrameKind.SF) == (number in rendered)
+    for i, step in enumerate(answer.steps):
         assert 0 <= step <= reach
         assert number - step in rendered
-        assert step == STEPS[planned.kind][i] or step == planned.steps[i - 1]
+        assert step == STEPS[answer.kind][i] or step == answer.steps[i - 1]

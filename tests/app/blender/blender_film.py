@@ -146,11 +146,11 @@ def trap(out):
     refused["cuts"] = press()
     scene.stss.options = "--backend ref --weights bilinear --cuts=1006"
     before = (scene.render.resolution_x, scene.render.use_compositing, scene.view_layers[2].use)
-    done = press()
+    outcome = press()
     image = bpy.data.images["stss"]
     return {
         "refused": refused,
-        "done": done,
+        "done": outcome,
         "kept": before == (scene.render.resolution_x, scene.render.use_compositing, scene.view_layers[2].use),
         "index": [thing.pass_index for thing in things],
         "image": [image.filepath, image.use_view_as_render],

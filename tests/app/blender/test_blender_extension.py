@@ -183,10 +183,10 @@ def bpy_python():
     """A Python that has bpy: ``$STSS_BPY_PYTHON``, or this one; and its version, as 3.11."""
     named = os.environ.get("STSS_BPY_PYTHON", sys.executable)
     code = "import importlib.util, sys; print(*sys.version_info[:2], sep='.'); sys.exit(importlib.util.find_spec('bpy') is None)"
-    done = subprocess.run([named, "-c", code], capture_output=True, text=True, check=False) if shutil.which(named) else None
-    if done is None or done.returncode:
+    process = subprocess.run([named, "-c", code], capture_output=True, text=True, check=False) if shutil.which(named) else None
+    if process is None or process.returncode:
         pytest.skip("no bpy: make test-blender installs it")
-    return named, done.stdout.strip()
+    return named, process.stdout.strip()
 
 
 @pytest.fixture(scope="module")
@@ -194,9 +194,9 @@ def packed(bpy_python, tmp_path_factory):
     """The zip, built as the page says."""
     out = tmp_path_factory.mktemp("built") / "stss-blender.zip"
     command = [sys.executable, "blender/build.py", "-o", out, "--python", bpy_python[1]]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert re.search(r"^ *\d+\.\d MB  pyopencl$", done.stdout, re.M)
+    process = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert process.returncode == 0, process.stderr
+    assert re.search(r"^ *\d+\.\d MB  pyopencl$", process.stdout, re.M)
     return out
 
 
@@ -205,10 +205,10 @@ def test_blender_takes_the_manifest_and_the_licences_go_together(bpy_python, pac
     find = "import importlib.util, pathlib; print(pathlib.Path(importlib.util.find_spec('bpy').origin).parent)"
     home = Path(subprocess.run([bpy_python[0], "-c", find], capture_output=True, text=True, check=True).stdout.strip())
     program, tags = next(home.glob("*/scripts/addons_core/bl_pkg/cli/blender_ext.py")), next(home.rglob("extensions/tags.py"))
-    done = subprocess.run(
+    process = subprocess.run(
         [bpy_python[0], program, "validate", "--valid-tags", tags, packed], capture_output=True, text=True, check=False
     )
-    assert "Success" in done.stdout, done.stdout + done.stderr
+    assert "Success" in process.stdout, process.stdout + process.stderr
     with zipfile.ZipFile(packed) as archive:
         every = [name for name in archive.namelist() if re.fullmatch(r"packages/[^/]+\.dist-info/METADATA", name)]
         texts = [archive.read(name).decode().partition("\n\n")[0] for name in every]
@@ -226,9 +226,9 @@ def test_a_scene_becomes_supersampled_frames_without_a_hand_on_it(bpy_python, pa
     words = [bpy_python[0], ROOT / "tests/app/blender/blender_film.py", packed, tmp_path]
     environment = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
     environment["BLENDER_USER_RESOURCES"] = str(tmp_path / "blender")
-    done = subprocess.run(words, env=environment, capture_output=True, text=True, check=False, timeout=900)
-    assert (tmp_path / "found.json").exists(), done.stdout[-2000:] + done.stderr[-2000:]
-    assert "stss: 8 of 8 frames" in done.stdout
+    process = subprocess.run(words, env=environment, capture_output=True, text=True, check=False, timeout=900)
+    assert (tmp_path / "found.json").exists(), process.stdout[-2000:] + process.stderr[-2000:]
+    assert "stss: 8 of 8 frames" in process.stdout
     report = json.loads((tmp_path / "found.json").read_text())
     assert report["state"] == ["FINISHED"] * 2
     assert "--cuts 99: expected frames of 2 to 8" in report["refused"]
@@ -259,7 +259,7 @@ def test_a_scene_becomes_supersampled_frames_without_a_hand_on_it(bpy_python, pa
     again = subprocess.run(words, cwd=tmp_path, env=shell, capture_output=True, text=True, check=False, timeout=900)
     assert again.returncode == 0, again.stderr
     assert len([*(tmp_path / "stss" / "out").glob("frame.*.png")]) == 8
-    see_trap(report["trap"], tmp_path, done.stdout)
+    see_trap(report["trap"], tmp_path, process.stdout)
     rows = measure_saving(bpy_python[0], tmp_path)
     assert [name for name, _, _ in rows] == ["full-1", "full-2", "stss"]
     assert all(took > 0 and 15 < psnr < 60 for _, took, psnr in rows)
@@ -302,7 +302,7 @@ def measure_saving(python, folder):
     """What ``measure_saving.py`` prints of the scene: (name, seconds of a frame, PSNR)."""
     words = [python, ROOT / "blender/measure_saving.py", folder / "shot.blend", "-o", folder / "saving", "--frames", "1", "3"]
     words += ["--samples", "2", "--truth", "8", "--stss", f"{sys.executable} -m stss", "--options", "--backend ref"]
-    done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=900)
-    assert done.returncode == 0, done.stdout + done.stderr
-    rows = re.findall(r"^([\w-]+): ([\d.]+) s, ([\d.]+) dB, SSIM 0\.\d{3}$", done.stdout, re.M)
+    process = subprocess.run(words, capture_output=True, text=True, check=False, timeout=900)
+    assert process.returncode == 0, process.stdout + process.stderr
+    rows = re.findall(r"^([\w-]+): ([\d.]+) s, ([\d.]+) dB, SSIM 0\.\d{3}$", process.stdout, re.M)
     return [(name, float(took), float(psnr)) for name, took, psnr in rows]

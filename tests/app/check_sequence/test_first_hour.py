@@ -70,8 +70,8 @@ def test_check_and_run_need_neither_profile_nor_camera(write_frames, tmp_path):
     assert "profile: stss" in checked.output
     assert "frames 0 to 3, 64 x 48 in, 128 x 96 out" in checked.output.splitlines()[-1]
     for folder, out in ((lr, "a"), (source, "b")):
-        done = runner.invoke(stss, ["run", str(folder), "-o", str(tmp_path / out), "--weights", "bilinear", "--backend", "ref"])
-        assert done.exit_code == 0, done.output
+        result = runner.invoke(stss, ["run", str(folder), "-o", str(tmp_path / out), "--weights", "bilinear", "--backend", "ref"])
+        assert result.exit_code == 0, result.output
     assert "profile: stss" in runner.invoke(stss, ["run", str(lr), "-o", str(tmp_path / "c"), "--backend", "ref"]).output
     images = [read_rgb(tmp_path / out / "frame.0003.exr") for out in "ab"]
     assert np.isfinite(images[0]).all()

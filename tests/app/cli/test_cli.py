@@ -101,8 +101,8 @@ def test_the_frames_are_what_python_gets(frames, weights, by_network):
     from stss.sequence.reader import open_sequence
     from stss.weights.file import load
 
-    read = open_sequence(frames, "stss")
-    outputs = list(Supersampler(backend=open_backend("cl", load(weights).weights))(map(read.load, read.numbers)))
+    sequence = open_sequence(frames, "stss")
+    outputs = list(Supersampler(backend=open_backend("cl", load(weights).weights))(map(sequence.load, sequence.numbers)))
     assert [output.number for output in outputs] == list(range(FRAMES))
     for output in outputs:
         image = read_rgb(by_network / f"frame.{output.number:04d}.exr")

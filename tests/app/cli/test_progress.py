@@ -80,13 +80,15 @@ def folder(demo, tmp_path_factory):
 )
 def test_every_long_command_has_a_bar_with_the_time_left(folder, tmp_path, monkeypatch, command):
     """`stss tune`, `demo` and `conform` have their own tests of progress."""
-    planned = measure.make_plan
-    monkeypatch.setattr(measure, "make_plan", lambda *options: replace(planned(*options), seeds=1, size=(16, 24), sizes=(8, 16)))
+    make_plan = measure.make_plan
+    monkeypatch.setattr(
+        measure, "make_plan", lambda *options: replace(make_plan(*options), seeds=1, size=(16, 24), sizes=(8, 16))
+    )
     for name in ("frames", "truth", "out", "parts"):
         shutil.copytree(folder / name, tmp_path / name)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("FORCE_COLOR", "1")
     monkeypatch.setattr(gpu_report, "steps", lambda *_, **__: [gpu_report.Step("absent", None, 0, "not here")])
-    done = call(*command.split())
-    assert done.returncode in (0, 1), done.stderr
-    assert re.search(r"\D([1-9]\d*)/\1\D.* left", done.stderr)
+    process = call(*command.split())
+    assert process.returncode in (0, 1), process.stderr
+    assert re.search(r"\D([1-9]\d*)/\1\D.* left", process.stderr)

@@ -128,9 +128,9 @@ def test_resume_keeps_what_is_right_and_makes_the_rest(threads, frames, tmp_path
     (out / "frame.0017.exr").unlink()
     with pytest.raises(InputError, match="--resume"):
         on_cluster(frames, out)
-    for done in ([3, 17], []):
+    for numbers in ([3, 17], []):
         summary = on_cluster(frames, out, resume=True)
-        assert [report.number for report in summary.frames if report.outcome == "done"] == done
+        assert [report.number for report in summary.frames if report.outcome == "done"] == numbers
         assert files(out) == whole
 
 
@@ -260,14 +260,14 @@ def scheduler():
         yield cluster
 
 
-HELD = threading.Event()
+NEVER = threading.Event()
 HUNG = []
 
 
 def hang_once(work, numbers):
     if not HUNG:
         HUNG.append(numbers)
-        HELD.wait()
+        NEVER.wait()
     return compute_chunk(work, numbers)
 
 
@@ -279,7 +279,7 @@ def test_a_worker_of_a_scheduler_may_hang(scheduler, frames, tmp_path, monkeypat
         on_cluster(frames, tmp_path / "many", scheduler.scheduler_address)
         assert HUNG
     finally:
-        HELD.set()
+        NEVER.set()
     assert_as_in_one_process(frames, tmp_path / "many")
 
 

@@ -81,16 +81,16 @@ def test_the_command_of_the_page_runs_as_it_stands(openjd, write_frames, device,
     text = (ROOT / "docs" / "farm.md").read_text(encoding="utf-8")
     name, run, *words = shlex.split(re.search(r"^openjd run (?:.*\\\n)*.*$", text, re.M)[0].replace("\\\n", " "))
     assert (name, run) == ("openjd", "run")
-    done = openjd_run(openjd, tmp_path, words)
-    assert done.returncode == 0, done.stdout[-3000:] + done.stderr
+    result = openjd_run(openjd, tmp_path, words)
+    assert result.returncode == 0, result.stdout[-3000:] + result.stderr
     assert sorted(path.name for path in (tmp_path / "out").glob("frame.*")) == [f"frame.{n:04d}.png" for n in range(12)]
 
 
 def test_the_tasks_make_what_one_run_makes(openjd, frames, tmp_path):
     """In a folder whose name is a shell command; no shell runs it."""
     out = tmp_path / "out $(touch here); `touch here`"
-    done = openjd_run(openjd, tmp_path, gather_words(frames, out))
-    assert done.returncode == 0, done.stdout[-3000:] + done.stderr
+    result = openjd_run(openjd, tmp_path, gather_words(frames, out))
+    assert result.returncode == 0, result.stdout[-3000:] + result.stderr
     plain(frames, tmp_path / "one")
     assert files(out) == files(tmp_path / "one")
     assert not list(ROOT.glob("here"))
@@ -101,8 +101,8 @@ def test_the_tasks_write_nothing_among_their_frames(openjd, frames, tmp_path):
     for path in frames.iterdir():
         path.rename(path.with_name(path.name.replace("seq", "frame")))
     before = files(frames)
-    done = openjd_run(openjd, tmp_path, gather_words(frames, frames, last=0))
-    assert done.returncode != 0
+    result = openjd_run(openjd, tmp_path, gather_words(frames, frames, last=0))
+    assert result.returncode != 0
     assert {name: data for name, data in files(frames).items() if not name.startswith(".parts")} == before
 
 
@@ -141,10 +141,10 @@ def test_a_task_that_never_ran_is_named(parts, frames, tmp_path, missing_task, t
     if missing_task:
         shutil.move(parts / missing_task, tmp_path / "late")
     words = ("gather", parts, "-o", tmp_path / "out", "--sequence", frames, *tasks)
-    done = call(*words)
-    assert done.returncode == bool(missing)
-    assert missing in done.stderr
-    assert ("missing" in done.stderr) == bool(missing)
+    result = call(*words)
+    assert result.returncode == bool(missing)
+    assert missing in result.stderr
+    assert ("missing" in result.stderr) == bool(missing)
     if missing:  # the task runs again
         shutil.move(tmp_path / "late", parts / missing_task)
         assert call(*words).returncode == 0
@@ -212,9 +212,9 @@ def test_frames_of_two_devices_are_told(parts, frames, tmp_path, monkeypatch):
     """A farm may have several; unlike settings, that is no mistake."""
     monkeypatch.setattr(type(open_backend("ref", WEIGHTS)), "name", "another")
     plain(frames, parts / "1", (5, 7), overwrite=True)
-    done = call("gather", parts, "-o", tmp_path / "out")
-    assert done.returncode == 0
-    assert re.search("made by: backend ref, version .*; backend another, version .*: the last bits", done.stderr)
+    result = call("gather", parts, "-o", tmp_path / "out")
+    assert result.returncode == 0
+    assert re.search("made by: backend ref, version .*; backend another, version .*: the last bits", result.stderr)
 
 
 @pytest.mark.parametrize("fault", FAULTS)

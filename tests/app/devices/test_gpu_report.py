@@ -58,9 +58,9 @@ def test_no_process_outlives_its_step(tmp_path, monkeypatch):
 
 def test_a_folder_with_something_in_it_is_refused(tmp_path):
     (tmp_path / "mine").write_text("")
-    done = CliRunner().invoke(stss, ["gpu-report", "-o", str(tmp_path), "--tiny"])
-    assert done.exit_code != 0
-    assert "expected a new or an empty folder" in str(done.exception or done.output)
+    result = CliRunner().invoke(stss, ["gpu-report", "-o", str(tmp_path), "--tiny"])
+    assert result.exit_code != 0
+    assert "expected a new or an empty folder" in str(result.exception or result.output)
     assert [path.name for path in tmp_path.iterdir()] == ["mine"]
 
 

@@ -112,7 +112,7 @@ def of_sequences(device, demo, folder):
 
 
 def of_some_frames(device, demo, folder):
-    return {"frames": [buffers(number) for number in range(4)]}, lambda made: made["level"] in ("note", "warning")
+    return {"frames": [buffers(number) for number in range(4)]}, lambda scope: scope["level"] in ("note", "warning")
 
 
 def of_frames(device, demo, folder):

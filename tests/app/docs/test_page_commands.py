@@ -149,10 +149,10 @@ def test_commands_run_as_they_stand(page, lines, device, request, prepared, tmp_
         if "arena.pkl" in words:
             shutil.copy(request.getfixturevalue("reference_data") / "checkpoints" / "arena.pkl", ".")
         provide(prepared, words)
-        done = call(*words, seconds=300)
-        if done.returncode == 2 and "pip install" in done.stderr and {"--flip", "--vmaf"} & {*words}:
+        process = call(*words, seconds=300)
+        if process.returncode == 2 and "pip install" in process.stderr and {"--flip", "--vmaf"} & {*words}:
             continue  # the extra is not installed: its line says so
-        assert done.returncode in ((0, 1) if words[0] == "check" else (0,)), f"{page}: {line}: {done.stderr}"
+        assert process.returncode in ((0, 1) if words[0] == "check" else (0,)), f"{page}: {line}: {process.stderr}"
 
 
 def test_commands_that_are_not_run_are_at_least_commands():

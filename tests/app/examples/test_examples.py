@@ -81,8 +81,8 @@ def test_motion_of_the_loop_has_the_jitter():
     apart = []
     for motion in (now.motion, now.motion - step):
         there, inside = warp(before.position, motion)
-        seen = inside & np.isfinite(now.depth) & (now.stencil == 0)
-        apart.append(np.median(np.linalg.norm(there - now.position, axis=-1)[seen]))
+        surface = inside & np.isfinite(now.depth) & (now.stencil == 0)
+        apart.append(np.median(np.linalg.norm(there - now.position, axis=-1)[surface]))
     assert apart[0] < apart[1] / 5, apart
 
 
@@ -102,8 +102,8 @@ def test_the_workflow_of_a_port(tmp_path, monkeypatch, few_cases):
         )
         words = shlex.split(line)[1:]
         stage = ["--stages", "rrm"] if words[0] == "conform" else []
-        done = CliRunner().invoke(stss, [*words, *stage], catch_exceptions=False)
-        assert done.exit_code == 0, done.output
+        result = CliRunner().invoke(stss, [*words, *stage], catch_exceptions=False)
+        assert result.exit_code == 0, result.output
     for name in ("results.json", "junit.xml", "report.html", "full.json"):
         assert name in text
         assert Path(name).is_file()

@@ -34,12 +34,12 @@ print(json.dumps({r.id: r.outcome for r in found}))
 
 
 def judged(folder, environment, stages):
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", JUDGE, *stages], cwd=folder, capture_output=True, text=True, check=False,
         env={**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{os.environ.get('PYTHONPATH', '')}", **dict(environment)},
     )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout.splitlines()[-1])
+    assert process.returncode == 0, process.stderr
+    return json.loads(process.stdout.splitlines()[-1])
 
 
 def software():

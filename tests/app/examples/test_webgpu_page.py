@@ -29,11 +29,11 @@ SECOND = """
 
 def test_the_page_makes_the_references_picture(ask, tmp_path):
     write_demo_sequence(tmp_path, 3, (16, 24))
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, PAGE, tmp_path / "frames", tmp_path / "page.html", "--weights", "antialiased"],
         capture_output=True, text=True, check=False,
     )  # fmt: skip
-    assert done.returncode == 0, done.stderr
+    assert process.returncode == 0, process.stderr
     # Its policy forbids that another page evaluates in it.
     page = tmp_path / "page.html"
     page.write_bytes(page.read_bytes().replace(b"script-src ", b"script-src 'unsafe-eval' "))

@@ -56,15 +56,15 @@ def test_sequences_in_turns_have_a_history_each(sequence):
         for each in (first, second):
             np.testing.assert_array_equal(each.push(buffers).image, want)
     del first, second, each
-    assert backend._shown == {}
+    assert backend._images == {}
 
 
 def test_the_device_and_files(sequence, tmp_path):
     """The command's frames are the reference's; a range has the bits of the whole."""
     run = ["run", str(sequence), "--weights", "bilinear", "--accumulate"]
     for words in (["-o", "cl"], ["-o", "ref", "--backend", "ref"], ["-o", "range", "--frames", "3:4"]):
-        done = CliRunner().invoke(command, [*run, "-o", str(tmp_path / words[1]), *words[2:]])
-        assert done.exit_code == 0, done.exception
+        result = CliRunner().invoke(command, [*run, "-o", str(tmp_path / words[1]), *words[2:]])
+        assert result.exit_code == 0, result.exception
     for number in range(6):
         name = f"frame.{number:04d}.exr"
         images = [read_rgb(tmp_path / folder / name) for folder in ("cl", "ref")]
@@ -82,7 +82,7 @@ def test_the_device_and_files(sequence, tmp_path):
 )
 def test_what_needs_frames_alone_is_refused(sequence, tmp_path, words, message):
     out = tmp_path / "out"
-    done = CliRunner().invoke(command, ["run", str(sequence), "-o", str(out), "--weights", "bilinear", "--accumulate", *words])
-    assert isinstance(done.exception, InputError)
-    assert message in str(done.exception)
+    result = CliRunner().invoke(command, ["run", str(sequence), "-o", str(out), "--weights", "bilinear", "--accumulate", *words])
+    assert isinstance(result.exception, InputError)
+    assert message in str(result.exception)
     assert not out.exists()

@@ -105,14 +105,14 @@ CALLS |= {
     "Stream nov": (lambda v: stream()([SimpleNamespace(**{**vars(ONE_FRAME), "nov": v})], (0, 0, 0)), (np.ndarray,)),
 }
 CALLS["Stream(skip)"] = (lambda v: Stream(random(0), skip=v), ())
-TAKEN = {"convert stencil": (int, float, bool)}
+ALLOWED_KINDS = {"convert stencil": (int, float, bool)}
 
 
 @pytest.mark.parametrize("name", every(3, CALLS))
 def test_a_value_of_a_wrong_kind_is_one_line(name):
     call, takes = CALLS[name]
     for value in WRONG:
-        if isinstance(value, TAKEN.get(name, takes)):
+        if isinstance(value, ALLOWED_KINDS.get(name, takes)):
             continue
         with pytest.raises(ERRORS) as error:
             call(value)

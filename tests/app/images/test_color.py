@@ -31,7 +31,7 @@ def images(draw, largest):
 # What is lost on the way through float32, in linear light. An encoded value in [0.5, 1] is rounded by at most 2**-25,
 # and the sRGB curve back has a slope of at most 2.4 / 1.055 < 2.28. The curve's two pieces miss each other by 2.9e-8
 # at 0.0031308, where the slope is 1 / 12.92: 2.3e-9 < 0.08 * 2**-25 more.
-LOST = 2.4 * 2.0**-25
+ROUNDING = 2.4 * 2.0**-25
 
 
 @quick
@@ -80,7 +80,7 @@ def test_none_leaves_a_displayed_image_as_it_is(image):
 def test_srgb_round_trip(color):
     """Light in [0, 1] comes back."""
     back = transfer("srgb").decode(transfer("srgb").encode(color))
-    assert np.abs(back.astype(np.float64) - color).max() <= LOST + 2.0**-25  # and the result's own rounding
+    assert np.abs(back.astype(np.float64) - color).max() <= ROUNDING + 2.0**-25  # and the result's own rounding
 
 
 @pytest.mark.parametrize("name", TRANSFERS)

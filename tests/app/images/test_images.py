@@ -32,9 +32,9 @@ def test_channels_come_back_by_their_full_name(tmp_path):
     assert set(header.windows.values()) == {header.display} == {(0, 0, 7, 9)}
     with pytest.raises(InputError, match=r"a\.exr: no channel depth\.V; it has R, G, B, .*, motion\.Y"):
         images.read_channels(path, ["depth.V"])
-    read = images.read_channels(path, ["depth.Z", "R", "motion.Y"])
-    assert list(read) == ["depth.Z", "R", "motion.Y"]
-    for name, plane in read.items():
+    channels = images.read_channels(path, ["depth.Z", "R", "motion.Y"])
+    assert list(channels) == ["depth.Z", "R", "motion.Y"]
+    for name, plane in channels.items():
         assert plane.dtype == np.float32
         assert plane.flags.c_contiguous
         want = pixels[name].astype(np.float16) if name == "R" else pixels[name]
@@ -51,8 +51,8 @@ def test_what_a_compression_changes_is_known(tmp_path, kind, number_type):
     for path, compression in (("a.exr", kind), ("b.exr", "none")):
         write_parts(tmp_path / path, (pixels, names, {"compression": (compression,)}), number_type=number_type)
     header = images.read_header(tmp_path / "a.exr")
-    read, expected = (images.read_channels(tmp_path / path, names) for path in ("a.exr", "b.exr"))
-    changed = [name for name in names if not np.array_equal(read[name], expected[name])]
+    channels, expected = (images.read_channels(tmp_path / path, names) for path in ("a.exr", "b.exr"))
+    changed = [name for name in names if not np.array_equal(channels[name], expected[name])]
     assert [name for name in names if header.lossy(name)] == changed
 
 
@@ -89,8 +89,8 @@ def test_no_truncated_file_is_read_and_nothing_is_printed(tmp_path, suffix):
         "    try:\n        read_rgb(path)\n        print('read', path)\n    except InputError as error:\n"
         "        assert str(error).startswith(str(path)) and '\\n' not in str(error), error\n"
     )
-    done = subprocess.run([sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True, check=False)
-    assert (done.stdout, done.stderr, done.returncode) == ("", "", 0)
+    process = subprocess.run([sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True, check=False)
+    assert (process.stdout, process.stderr, process.returncode) == ("", "", 0)
     assert len(lengths) > 50
 
 
@@ -131,11 +131,11 @@ def test_png_holds_display_values_and_texts(tmp_path):
     picture = (np.arange(256, dtype=np.float32) / 255).reshape(16, 16)[..., None] * np.ones(3, dtype=np.float32)
     texts = {"stss:key": 'é {"a": 1}\nb', "Software": "stss", "stss:long": "z" * 100_000}
     images.write_rgb(path, picture, metadata=texts)
-    read = images.read_rgb(path)
-    np.testing.assert_array_equal(np.rint(read * 255), np.rint(picture * 255))
+    image = images.read_rgb(path)
+    np.testing.assert_array_equal(np.rint(image * 255), np.rint(picture * 255))
     assert texts.items() <= images.read_header(path).attributes.items()
-    images.write_rgb(path, read)
-    np.testing.assert_array_equal(images.read_rgb(path), read)
+    images.write_rgb(path, image)
+    np.testing.assert_array_equal(images.read_rgb(path), image)
     values = np.array([-1, 0.49 / 255, 0.51 / 255, 254.51 / 255, 7])
     images.write_rgb(path, np.broadcast_to(values[None, :, None], (1, 5, 3)))
     np.testing.assert_array_equal(np.rint(images.read_rgb(path)[0, :, 0] * 255), [0, 0, 1, 255, 255])
@@ -165,8 +165,8 @@ def test_parts_are_one_file(tmp_path):
         path, *((np.full((4, 5, len(n)), x, np.float32), tuple(n), {"oiio:subimagename": (part,)}) for part, n, x in parts)
     )
     assert images.read_header(path).channels == ("R", "G", "B", "Z", "normal.R", "normal.G", "normal.B")
-    read = images.read_channels(path, ["normal.G", "R", "Z"])
-    assert [plane[0, 0] for plane in read.values()] == [2.5, 0.5, 1.5]
+    channels = images.read_channels(path, ["normal.G", "R", "Z"])
+    assert [plane[0, 0] for plane in channels.values()] == [2.5, 0.5, 1.5]
 
 
 @pytest.mark.parametrize(

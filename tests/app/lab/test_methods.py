@@ -253,9 +253,9 @@ def test_frames_of_another_program_are_a_row_beside(tmp_path):
     for n in range(2, 6):
         pixels = oiio.ImageBuf(str(tmp_path / "out" / "lanczos" / f"frame.{n:04d}.exr")).get_pixels()
         write_rgb(mine / f"own_{n}.exr", pixels)
-    done = call(*words, "--overwrite", "--with", mine, "--html", page)
-    assert done.returncode == 0, done.stderr
-    scores = json.loads(done.stdout)
+    process = call(*words, "--overwrite", "--with", mine, "--html", page)
+    assert process.returncode == 0, process.stderr
+    scores = json.loads(process.stdout)
     assert scores["mine"]["means"] == scores["lanczos"]["means"]
     assert scores["mine"]["holes"] == scores["lanczos"]["holes"] > 0
     assert "Method mine" in page.read_text(encoding="utf-8")

@@ -49,14 +49,14 @@ def test_the_backend_is_measured_in_each_of_its_precisions(device):
 
 def test_the_command_measures_every_table_without_a_device(monkeypatch):
     """In fewer and smaller frames than a user's."""
-    planned, measured, tables = measure.make_plan, measure.stress, []
-    monkeypatch.setattr(measure, "make_plan", lambda *options: replace(SMALL, engines=planned(*options).engines))
-    monkeypatch.setattr(measure, "stress", lambda *options, **more: tables.extend(measured(*options, **more)) or tuple(tables))
-    done = CliRunner().invoke(stress_command, ["--backend", "ref"])
-    assert done.exit_code == 0, done.output
+    make_plan, stress, tables = measure.make_plan, measure.stress, []
+    monkeypatch.setattr(measure, "make_plan", lambda *options: replace(SMALL, engines=make_plan(*options).engines))
+    monkeypatch.setattr(measure, "stress", lambda *options, **more: tables.extend(stress(*options, **more)) or tuple(tables))
+    result = CliRunner().invoke(stress_command, ["--backend", "ref"])
+    assert result.exit_code == 0, result.output
     assert [table.key for table in tables] == [*measure.MEASUREMENTS]
-    assert all(table.title[:12] in done.output for table in tables)
-    assert "the reference alone" in done.output
+    assert all(table.title[:12] in result.output for table in tables)
+    assert "the reference alone" in result.output
 
 
 @pytest.mark.parametrize(
@@ -68,7 +68,7 @@ def test_the_command_measures_every_table_without_a_device(monkeypatch):
 )
 def test_mistakes_are_one_line(options, words, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    done = CliRunner().invoke(stress_command, options)
-    assert isinstance(done.exception, InputError)
-    assert re.search(words, str(done.exception))
-    assert "\n" not in str(done.exception)
+    result = CliRunner().invoke(stress_command, options)
+    assert isinstance(result.exception, InputError)
+    assert re.search(words, str(result.exception))
+    assert "\n" not in str(result.exception)

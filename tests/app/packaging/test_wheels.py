@@ -99,10 +99,10 @@ def test_the_laboratory_may_stay_out(program, tmp_path, monkeypatch):
     left_out = {*zipfile.ZipFile(program[0]).namelist()} - {*zipfile.ZipFile(wheel).namelist()}
     assert left_out
     assert all(name.startswith("stss_lab/") for name in left_out)
-    done = python(site, tmp_path, "from stss.__main__ import main; main()", "--help", path=[site], absent={"stss_lab"})
-    assert done.returncode == 0, done.stderr
-    assert " compare " in done.stdout
-    assert " bench " not in done.stdout
+    process = python(site, tmp_path, "from stss.__main__ import main; main()", "--help", path=[site], absent={"stss_lab"})
+    assert process.returncode == 0, process.stderr
+    assert " compare " in process.stdout
+    assert " bench " not in process.stdout
 
 
 def test_a_container_is_given_all_that_the_wheel_is_built_from(program, tmp_path):
@@ -122,12 +122,12 @@ def test_another_package_of_the_judges_name_is_one_line(program, tmp_path):
     site, command = program[1], "from stss.cli.main import main; main()"
     (tmp_path / "conformance").mkdir()
     (tmp_path / "conformance" / "__init__.py").write_text("")
-    done = python(site, tmp_path, command, "conform", path=[tmp_path])
-    assert done.returncode == 2
-    assert re.fullmatch(r"stss: conformance: expected .*\n", done.stderr), done.stderr
-    assert str(tmp_path / "conformance") in done.stderr
-    done = python(site, tmp_path, command, "conform", path=[site / "stss_judge", tmp_path])
-    assert "expected either --port" in done.stderr
+    process = python(site, tmp_path, command, "conform", path=[tmp_path])
+    assert process.returncode == 2
+    assert re.fullmatch(r"stss: conformance: expected .*\n", process.stderr), process.stderr
+    assert str(tmp_path / "conformance") in process.stderr
+    process = python(site, tmp_path, command, "conform", path=[site / "stss_judge", tmp_path])
+    assert "expected either --port" in process.stderr
 
 
 def test_a_folder_of_pythonpath_is_enough(program, tmp_path):
@@ -138,11 +138,11 @@ def test_a_folder_of_pythonpath_is_enough(program, tmp_path):
         ["-c", "import stss.devices.selftest as s; print(s.ratio.__code__.co_filename)"],
     ):
         command = [sys.executable, "-S", *words]
-        done = subprocess.run(
+        process = subprocess.run(
             command, cwd=tmp_path, env={**os.environ, "PYTHONPATH": path}, check=False, capture_output=True, text=True
         )
-        assert done.returncode == 0, done.stderr
-    assert done.stdout.strip() == str(program[1] / "stss_judge/conformance/tolerance.py")
+        assert process.returncode == 0, process.stderr
+    assert process.stdout.strip() == str(program[1] / "stss_judge/conformance/tolerance.py")
 
 
 def test_the_judge_has_the_files_of_the_program_and_needs_what_it_imports(judge):
@@ -169,9 +169,9 @@ def test_the_judge_alone_judges(judge, tmp_path):
     def conform(*words):
         return python(judge[1], tmp_path, "from conformance.command import main; main()", "conform", *words, absent=ABSENT)
 
-    done = conform("--port", "ours:Wrong", "--json", "f.json", "--report", "p.html")
-    assert done.returncode == 1, done.stderr
-    assert "looks like" in done.stdout
+    process = conform("--port", "ours:Wrong", "--json", "f.json", "--report", "p.html")
+    assert process.returncode == 1, process.stderr
+    assert "looks like" in process.stdout
     assert json.loads((tmp_path / "f.json").read_text())["stages"]["rrm"]["cases"] > 0
     assert (tmp_path / "p.html").is_file()
     folder = tmp_path / "conform-failures" / "rrm.agrees_with_the_reference"

@@ -123,8 +123,8 @@ def compared(tmp_path):
 
 def test_compare_makes_a_page(compared):
     words = ["compare", str(compared / "out"), str(compared / "truth"), "--html", str(compared / "p.html")]
-    done = CliRunner().invoke(stss, words, catch_exceptions=False)
-    assert done.exit_code == 0
+    result = CliRunner().invoke(stss, words, catch_exceptions=False)
+    assert result.exit_code == 0
     data = data_of(compared / "p.html")
     assert data["views"] == ["output", "truth"]
     assert len(data["pictures"]) == 8
@@ -138,8 +138,8 @@ def test_compare_makes_a_page(compared):
 def test_compare_shows_what_the_output_was_made_of(compared, write_frames):
     folder = write_frames(range(4), rendered={0, 2}, size=(SIZE[0] // 2, SIZE[1] // 2))
     words = ["compare", str(compared / "out"), str(compared / "truth"), "--sequence", str(folder)]
-    done = CliRunner().invoke(stss, [*words, "--html", str(compared / "p.html")], catch_exceptions=False)
-    assert done.exit_code == 0
+    result = CliRunner().invoke(stss, [*words, "--html", str(compared / "p.html")], catch_exceptions=False)
+    assert result.exit_code == 0
     data = data_of(compared / "p.html")
     assert data["views"] == ["input", "bilinear", "output", "truth"]
     inputs = [frame["pictures"]["input"] for frame in data["frames"]]

@@ -73,11 +73,11 @@ def test_files_are_plain(job):
 
 def test_headers_of_inputs_differ_in_length(job):
     """A port that takes 128 bytes for every header is wrong in some."""
-    written = job(
+    folder = job(
         *(Case("rrm", {"valid": np.ones((1, w), np.uint8), "rectangle": np.array([0, 0, 1, 1], np.int32)}) for w in range(1, 5))
     )
     lengths = set()
-    for path in written.glob("*/in/valid.npy"):
+    for path in folder.glob("*/in/valid.npy"):
         data = path.read_bytes()
         begin = 10 + int.from_bytes(data[8:10], "little")
         lengths.add(begin)

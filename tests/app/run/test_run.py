@@ -53,10 +53,10 @@ class Steps:
         return do
 
     def run(self, count, **pauses):
-        *steps, done = [self.step(name, pauses.get(name, 0)) for name in ("read", "compute", "write", "done")]
+        *steps, end = [self.step(name, pauses.get(name, 0)) for name in ("read", "compute", "write", "done")]
         with closing(overlap(deque(range(count)), *steps)) as results:
             for item in results:
-                done(item)
+                end(item)
 
 
 def test_neighbours_are_read_and_written_while_one_is_computed():
@@ -214,7 +214,7 @@ def test_alpha_highlights_layers_and_metadata_come_out(write_frames, tmp_path):
         assert not planes["light.G"].any()
 
 
-TAKEN = ("highlights", "color", "depth", "stencil", "position", "A.A", "Z")
+RESERVED = ("highlights", "color", "depth", "stencil", "position", "A.A", "Z")
 """Names of further channels that are those of buffers, or of planes of our own."""
 
 
@@ -224,16 +224,16 @@ def test_the_name_of_a_channel_takes_nobody_s_place(write_frames, tmp_path):
     def change(number, channels):
         channels["R"] = 10 * channels["R"]
         ramp = np.linspace(0, 1, 64) * np.ones((48, 1))
-        return channels | {name: (i + 1) * ramp for i, name in enumerate(TAKEN)}
+        return channels | {name: (i + 1) * ramp for i, name in enumerate(RESERVED)}
 
     lr = write_frames(range(3), change=change)
-    for out, also in (("plain", ()), ("out", ("--also", ",".join((*TAKEN, "R", "depth.Z"))))):
+    for out, also in (("plain", ()), ("out", ("--also", ",".join((*RESERVED, "R", "depth.Z"))))):
         result = call("run", lr, "-o", tmp_path / out, *PLAIN, *also)
         assert result.returncode == 0, result.stderr
     for path in sorted((tmp_path / "plain").glob("*.exr")):
         assert np.array_equal(read_rgb(path), read_rgb(tmp_path / "out" / path.name))
-        planes = read_channels(tmp_path / "out" / path.name, (*TAKEN, "depth.Z"))
-        assert [round(float(planes[name].max())) for name in TAKEN] == list(range(1, len(TAKEN) + 1))
+        planes = read_channels(tmp_path / "out" / path.name, (*RESERVED, "depth.Z"))
+        assert [round(float(planes[name].max())) for name in RESERVED] == list(range(1, len(RESERVED) + 1))
         assert planes["depth.Z"].max() == 200
 
 

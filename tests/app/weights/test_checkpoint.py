@@ -63,8 +63,8 @@ def test_what_pytorch_saves_today_is_read(path: Path):
     state["outc.weight"] = flat[5:].view(24, 12, 2)[:, :, 1].t().reshape(12, 24).t().t().view(12, 24, 1, 1)
     state["outc.bias"] = flat[3::7][:12]
     torch.save(state, path)
-    read = read_checkpoint(path)
-    assert all(np.array_equal(read[name], state[name].numpy()) for name in TENSORS)
+    tensors = read_checkpoint(path)
+    assert all(np.array_equal(tensors[name], state[name].numpy()) for name in TENSORS)
     torch.save(state, path, _use_new_zipfile_serialization=False)
     assert "the format of PyTorch before 1.6" in refusal(path)
 
