@@ -59,6 +59,9 @@ CLASSES: tuple[DeviceClass, ...] = get_args(DeviceClass)
 
 MAKERS = {"nvidia": ("nvidia",), "amd": ("advanced micro devices", "amd"), "intel": ("intel",)}
 """Maker -> parts of the vendor's name in the device's properties."""
+MAKERS_OPTIONS = {"intel": "-D static= -D inline="}
+"""Options for a maker's GPUs; "" for other devices. Where a function is static, Intel's compiler of 2022 unrolls no loop as it is told,
+and keeps arrays in memory."""
 
 
 class Properties:
@@ -107,6 +110,11 @@ class Properties:
             return ""
         vendor = str(self.handle.vendor).lower()
         return next((name for name, marks in MAKERS.items() if any(part in vendor for part in marks)), "")
+
+    @property
+    def compiler_options(self) -> str:
+        """Options for all programs that are built for it."""
+        return MAKERS_OPTIONS.get(self.maker, "")
 
     @property
     def has_fp16(self) -> bool:

@@ -33,10 +33,6 @@ MOST_BINARY = 64 << 20
 DIGEST = hashlib.sha256().digest_size
 """Bytes of the digest at the beginning of a stored binary."""
 
-MAKERS_OPTIONS = {"intel": "-D static= -D inline="}
-"""Options for a maker's GPUs; "" for other devices. Where a function is static, Intel's compiler of 2022 unrolls no loop as it is told,
-and keeps arrays in memory."""
-
 FLUSH = "-cl-denorms-are-zero"
 """Kernels treat subnormal numbers as 0, so that their time does not depend on the data: processors of Intel take a hundred cycles for each
 operation that has one. PoCL sets its threads so for each launch."""
@@ -82,7 +78,7 @@ def build(device: Device, file: str, options: Mapping[str, object] | None = None
         DeviceError: it does not build; the message has the source line that the compiler's log names, ``log`` has the whole log.
     """
     defines = [f"-D {k}" if v is True else f"-D {k}={v}" for k, v in (options or {}).items() if v is not None and v is not False]
-    together = ["-cl-std=CL1.2", *defines, MAKERS_OPTIONS.get(device.maker, ""), flags, FLUSH]
+    together = ["-cl-std=CL1.2", *defines, device.compiler_options, flags, FLUSH]
     key = (file, " ".join(option for option in together if option))
     device.require_same_process()
     with _building:

@@ -5,7 +5,7 @@ from functools import cache
 import pyopencl as cl
 import pytest
 
-from stss_cl.device import discovery, program
+from stss_cl.device import discovery
 from stss_cl.device.discovery import CLASSES, DeviceError, open_device
 from stss_cl.options import PRECISIONS
 from tests.tiers import thorough
@@ -15,15 +15,28 @@ QUICK = tuple(precision for precision in PRECISIONS if precision != "bfloat16")
 OFTEN = [precision if precision == "float32" else thorough(precision) for precision in PRECISIONS]
 """Parameters: a network in half takes a processor a minute to compile. test_conv_gpu.py has its kernels, test_network.py direct ones
 and a network in bfloat16 that is not optimised."""
+UNOPTIMISED = "-cl-opt-disable"
 UNITS = 1024
 """Compute units of a processor that is treated as a GPU: more than a test's frame has tiles, as on a GPU. Layers with few tiles for
 the units have smaller ones; so frames of all sizes have the same kernels, and each is compiled once."""
 
 
 class LikeGpu(discovery.Device):
-    """A processor that is treated as a GPU."""
+    """A processor that is treated as a GPU.
+
+    ``make test`` builds its programs without optimisation, a quarter of the time: a GPU has another compiler.
+    """
 
     compute_units = UNITS
+    optimises = True
+
+    @property
+    def compiler_options(self):
+        return super().compiler_options if self.optimises else UNOPTIMISED
+
+
+def pytest_configure(config):
+    LikeGpu.optimises = config.option.markexpr != "not thorough"
 
 
 @pytest.fixture(scope="session", params=CLASSES)
@@ -74,7 +87,7 @@ def opened(device, monkeypatch):
 @pytest.fixture
 def unoptimised(monkeypatch):
     """Programs for a processor are built without optimisation: a fifth of the time, for tests of logic whose programs no other test has."""
-    monkeypatch.setitem(program.MAKERS_OPTIONS, "", "-cl-opt-disable")
+    monkeypatch.setattr(discovery.Properties, "compiler_options", UNOPTIMISED)
 
 
 @pytest.fixture

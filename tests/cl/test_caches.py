@@ -268,6 +268,7 @@ def test_a_cron_job_computes(processor, tmp_path):
     compute({"XDG_CACHE_HOME": str(tmp_path)})
 
 
+@pytest.mark.thorough
 def test_processes_that_build_in_an_empty_cache_at_once_all_succeed(processor, bare):
     command = [sys.executable, "-c", "import sys; sys.stdin.readline()\n" + COMPUTE]
     starts = [subprocess.Popen(command, env=bare, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) for _ in range(3)]

@@ -37,7 +37,9 @@ def test_every_half_is_widened(device, shape, there):
     np.testing.assert_array_equal(host[number].view(np.uint32), want[number].view(np.uint32))
 
 
-@pytest.mark.parametrize(("skip", "where"), [("exact", "host"), ("exact", "device"), ("off", "mixed"), ("exact", "mixed")])
+@pytest.mark.parametrize(
+    ("skip", "where"), [thorough("exact", "host"), thorough("exact", "device"), ("off", "mixed"), ("exact", "mixed")]
+)
 def test_frames_of_half_have_the_bits_of_the_same_values_in_float32(device, skip, where):
     """One by one and one ahead; mixed: every third frame comes in float32, though its values are those of half."""
     frames = [halve(frame) for frame in film()]

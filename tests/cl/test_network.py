@@ -338,7 +338,7 @@ def with_tiny(weights):
     return weights | tensors
 
 
-@pytest.mark.parametrize("precision", ["float32", "float32-direct"])
+@pytest.mark.parametrize("precision", ["float32", thorough("float32-direct")])
 def test_nothing_tiny_is_packed(processor, monkeypatch, request, precision):
     """Of weights that have it: 0 takes its place, also behind transforms, and the image keeps the bits of those without."""
     if precision == "float32-direct":  # no other test of every commit has its kernels

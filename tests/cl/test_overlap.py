@@ -23,6 +23,7 @@ from stss_ref.arrays import ArrayError
 from tests.cl.conftest import watch_launches
 from tests.cl.films import WEIGHTS, assert_same, calls_of, film, on
 from tests.cl.test_stream import sequences
+from tests.tiers import thorough
 
 MOMENT = 0.5
 """Seconds in which what may happen does, and what must wait is seen to."""
@@ -243,7 +244,7 @@ def test_a_frame_arrives_while_the_one_before_it_is_computed_and_no_earlier(gpu,
 
 
 @pytest.mark.parametrize("queue", ["uploads", "downloads", "launches"])
-@pytest.mark.parametrize("looking", [True, False])
+@pytest.mark.parametrize("looking", [True, thorough(False)])
 def test_a_frame_is_whole_however_late_a_queue_is(gpu, looking, queue):
     """Launches wait for what arrives, the download for them, and the caller for the download."""
     frames = film(["moving"] * 8)

@@ -17,6 +17,7 @@ import pytest
 from stss.run.gather import gather
 from stss.run.job import folder_of
 from tests.app.conftest import files
+from tests.tiers import every
 
 CHANGES = {"os.remove", "os.rename", "os.rmdir", "os.mkdir", "os.link", "os.symlink", "os.truncate"}
 WRITES = os.O_WRONLY | os.O_RDWR | os.O_CREAT
@@ -120,7 +121,7 @@ EARLIER = {  # what the folder has before -> what it has in the end, besides the
 }
 
 
-@pytest.mark.parametrize("earlier", EARLIER)
+@pytest.mark.parametrize("earlier", every(2, EARLIER))
 def test_gather_is_killed_at_every_moment(folder, earlier):
     """And again from two of the moments on, later."""
     earlier_files, stays, overwrite = EARLIER[earlier]

@@ -29,6 +29,7 @@ from stss_ground.errors import InputError
 from stss_ref.arrays import ArrayError
 from stss_ref.weights import random as random_weights
 from tests.hostile.cases import call, refused, stss
+from tests.tiers import every, thorough
 
 
 @pytest.fixture
@@ -143,7 +144,7 @@ FAULTS = {
 
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks for processes in /proc")
-@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.parametrize("fault", every(2, FAULTS))
 def test_a_faulty_program_says_what_it_did(program, tmp_path, fault):
     """One error without a traceback; nothing outside its job is touched, and no process of it is left."""
     lines, words = FAULTS[fault]
@@ -174,7 +175,7 @@ def processes_of(folder):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="what leaves its process group ends on Linux alone")
-@pytest.mark.parametrize("stays", [False, True])
+@pytest.mark.parametrize("stays", [False, thorough(True)])
 def test_what_a_program_leaves_ends_with_it(program, tmp_path, stays):
     """A child, and one with a session and an environment of its own whose parent has ended; after a right answer, and after its time."""
     away = CHILD.replace("[1]])", "[1]], start_new_session=True, env={})")
@@ -507,6 +508,7 @@ def test_a_replay_is_judged_or_says_so(tmp_path):
             replay(wrong, folder)
 
 
+@pytest.mark.thorough
 def test_native_code_that_ends_the_judge_names_its_line_and_as_a_program_its_case(tmp_path):
     """A Python port runs in the judge's process, unless `stss port` has it."""
     lines = [

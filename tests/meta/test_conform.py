@@ -332,6 +332,7 @@ def test_where_rounding_decides_between_ranges_an_error_within_them_is_none():
 
 
 @pytest.mark.skipif(not shutil.which("make") or not shutil.which("g++"), reason="needs make and g++")
+@pytest.mark.thorough
 def test_the_example_in_cpp_passes(tmp_path):
     """As a porter builds it: some cases of all its stages, each batch of cases at one start; what agrees has the other properties."""
     shutil.copytree(EXAMPLE, tmp_path / "cpp", ignore=shutil.ignore_patterns("port"))

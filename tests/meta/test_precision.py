@@ -10,6 +10,7 @@ from conformance.mistakes.precision import rounded_at
 from conformance.protocol.reference_copy import half, load
 from conformance.suite.properties import find_test
 from tests.meta import right_ports as others
+from tests.tiers import thorough
 
 FAINT = [("erm", "KEncoder.0", "output"), ("encoder", "down3.downsample", "input")]
 """Half here is within the bound of every number of the quick tier's cases."""
@@ -30,7 +31,7 @@ def test_half_at_one_place_is_found_without_luck(stage, layer, what):
         worst(load("planted", *rounded_at(layer, what, half)), stage)
 
 
-@pytest.mark.parametrize(("name", "stage"), [("in_order", "frame"), ("fma", "history"), ("half", "erm")])
+@pytest.mark.parametrize(("name", "stage"), [thorough("in_order", "frame"), ("fma", "history"), ("half", "erm")])
 def test_no_right_port_comes_near(name, stage):
     """Those that come nearest."""
     ratios = {output: ratio for output, ratio in worst(others.port(name), stage).items() if output.endswith(RMS)}

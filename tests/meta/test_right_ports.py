@@ -72,7 +72,7 @@ def test_each_is_near_the_reference(name, stage):
     assert different == (stage in DIFFERENT[name])
 
 
-@pytest.mark.parametrize("stage", every(2, sorted({*SUITE} - {"rrm"})))
+@pytest.mark.parametrize("stage", every(4, sorted({*SUITE} - {"rrm"})))
 def test_what_needs_no_reference_holds_for_it(stage):
     """Whole frames as often as in the quick tier. Comparisons with the reference have other tests, and ``make alarms``."""
     judge = Judge(ReferencePort(), Tier("some", 24, 24 if stage in ("frame", "sequence") else 6, 0), shrink=False)

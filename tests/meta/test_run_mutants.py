@@ -7,15 +7,16 @@ from conformance.mistakes import MISTAKES, find
 from conformance.report.failures import keep_failure, replay
 from stss.port import ReferencePort
 from tests.meta.run_mutants import failed
-from tests.tiers import every
+from tests.tiers import thorough
 
 STAGES = sorted({mutant.stage for mutant in MISTAKES})
 SMALL = [mutant for mutant in MISTAKES if not mutant.large]
 NAMES = [name for stage in STAGES for name in [mutant.id for mutant in SMALL if mutant.stage == stage][::-24]]
 NAMES.append("frame_hole_test_ignored")  # the kept weights say which test
+OFTEN = [name for name in NAMES[::3] if not name.startswith(("frame_", "network_"))]  # those take long
 
 
-@pytest.mark.parametrize("name", every(3, NAMES))
+@pytest.mark.parametrize("name", [name if name in OFTEN else thorough(name) for name in NAMES])
 def test_found_out(name, tmp_path):
     """The mutant fails again from the kept folder, while a mended port, the reference, passes."""
     (result,) = failed(name)

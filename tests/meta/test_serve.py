@@ -11,6 +11,7 @@ import pytest
 from conformance.protocol import served
 from conformance.protocol.port import Case, PortError
 from conformance.protocol.program_port import FolderPort
+from tests.tiers import thorough
 
 PROGRAM = """
 import os, pathlib, sys, time
@@ -96,10 +97,10 @@ def test_a_program_that_waits_for_something_else_is_started_for_each_job(program
 @pytest.mark.parametrize(
     ("lines", "words"),
     [
-        ("answer(job)\nif number == 1: time.sleep(60)", "stopped after 3 s"),
+        thorough("answer(job)\nif number == 1: time.sleep(60)", "stopped after 3 s"),
         ("answer(job)\nif number == 1: sys.exit(3)", "ended with status 3 while it served"),
         ("answer(job)\nif number == 1: os._exit(0)", "ended with status 0 while it served"),
-        ("answer(job)\nif number == 1: os.kill(os.getpid(), 11)", "ended by SIGSEGV while it served"),
+        thorough("answer(job)\nif number == 1: os.kill(os.getpid(), 11)", "ended by SIGSEGV while it served"),
         ("answer(job)\nif number == 1: job += '_'", "answered for another job: expected"),
         ("if number != 1: answer(job)", "valid.npy: missing"),
         ("answer(job)\nwhile number == 1: print('x' * 9999)", "more than 1 MiB on its output"),

@@ -120,6 +120,7 @@ def test_a_corner_of_tiles_is_found_in_the_quick_tier(stage: str, tile: int):
     assert f"at [{tile * (2 if stage == 'decoder' else 1)}, " in result.message or "none before row" in result.message
 
 
+@pytest.mark.thorough
 def test_an_index_in_float32_is_found_at_a_users_size(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr("conformance.cases.large_inputs.USER_SIZES", dict.fromkeys(("quick", "full"), (160, 300)))
 

@@ -12,7 +12,7 @@ from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
-from stss_cl.device.program import MAKERS_OPTIONS
+from stss_cl.device.discovery import MAKERS_OPTIONS
 
 BUILTINS = Path(os.environ.get("LIBCLC", "/usr/lib/clc"))
 OLDEST = 22

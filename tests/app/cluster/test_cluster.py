@@ -28,6 +28,7 @@ from stss.weights.file import BILINEAR, load
 from stss_ground.errors import InputError
 from stss_ground.version import VERSION
 from tests.app.conftest import PLAIN, files
+from tests.tiers import thorough
 
 FRAMES = range(20)
 SIZE = (8, 8)
@@ -152,7 +153,7 @@ def test_a_bad_frame_is_reported_as_in_one_process(threads, write_frames, tmp_pa
     assert files(tmp_path / "on_cluster") == files(tmp_path / "in_one_process")
 
 
-@pytest.mark.parametrize("how", ["dies", "hangs"])
+@pytest.mark.parametrize("how", ["dies", thorough("hangs")])
 def test_a_chunk_whose_worker_ends_is_computed_again(threads, frames, tmp_path, monkeypatch, how):
     def becomes(handed, arguments):
         if handed in (2, 3) or set(arguments[1]) & doomed:
@@ -231,7 +232,7 @@ def test_a_process_that_hangs_is_ended():
 
 
 @pytest.mark.skipif(os.name == "nt", reason="no process groups")
-@pytest.mark.parametrize("where", [[], ["--cluster", "local:2"]])
+@pytest.mark.parametrize("where", [[], thorough(["--cluster", "local:2"])])
 def test_an_interrupt_is_one_line_that_says_how_to_go_on(frames, tmp_path, where):
     """It is sent to all processes, as a terminal does, when the first frames are there."""
     out = tmp_path / "out"

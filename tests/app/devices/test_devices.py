@@ -281,6 +281,7 @@ def test_an_edited_verdict_is_ignored(edit):
 ANSWER = f"print({json.dumps(json.dumps(PASSED))}, flush=True)\n"
 
 
+@pytest.mark.thorough
 def test_a_slow_clock_is_no_hang(monkeypatch):
     """Three times the limit on the clock, a fraction of it on the processor: as for a self-test on a busy machine."""
     monkeypatch.setenv("STSS_SELFTEST_SECONDS", "1")

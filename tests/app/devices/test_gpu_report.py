@@ -28,6 +28,7 @@ STEPS = [
 ]
 
 
+@pytest.mark.thorough
 def test_every_step_has_its_row_and_what_is_wrong_comes_first(tmp_path, monkeypatch):
     monkeypatch.setattr(gpu_report, "steps", lambda *_, **__: STEPS)
     folder = tmp_path / "report"

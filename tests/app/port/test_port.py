@@ -149,6 +149,7 @@ def test_a_height_that_a_stage_does_not_take_is_named(job):
         ports.run_job(folder, "ref")
 
 
+@pytest.mark.thorough
 def test_the_opencl_backend_is_a_port():
     """Small cases of all it has, on whatever device there is: names, shapes and dtypes are the table's."""
     port = FolderPort(command("cl"), timeout=300)

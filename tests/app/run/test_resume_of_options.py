@@ -10,6 +10,7 @@ from stss.images.read_write import read_channels, read_header, write_channels
 from stss.sequence.profiles import load_profile
 from stss.weights.file import save
 from stss_ref.weights import Weights, random
+from tests.tiers import every
 
 SIZE, COUNT = (16, 24), 4
 OPTIONS = {
@@ -77,7 +78,7 @@ def test_every_option_is_in_the_table():
     )
 
 
-@pytest.mark.parametrize("option", OPTIONS)
+@pytest.mark.parametrize("option", every(3, OPTIONS))
 def test_resume_makes_anew_what_another_value_made(shot, tmp_path, monkeypatch, option):
     monkeypatch.chdir(shot)
     weights = "bilinear" if option == "--weights" else "random.safetensors"
