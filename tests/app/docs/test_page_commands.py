@@ -36,7 +36,6 @@ NOT_RUN = {
     r"python blender/build.py": "fetches packages; tests/app/blender/test_blender_extension.py runs it where bpy is",
     r"python examples/webgpu/page.py": "tests/app/examples/test_webgpu_page.py runs it",
     r"python -m pytest .*--port": "a port of the reader's; tests/meta runs the suite so",
-    r"python -c .*before_reshade": "weights of a training run",
     r"stss conform ": "a port of the reader's; tests/app/port/test_port.py and test_examples.py run some",
     r"stss run .* --cluster tcp:": "a cluster; tests/app/cluster/test_cluster.py makes one",
     r"openjd run ": "tests/app/cluster/test_farm.py runs it as it stands",
