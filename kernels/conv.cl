@@ -12,8 +12,8 @@
 //
 // Build -D A -D B -D OUT (multiples of 8; A may be 4 where not GATED) -D KERNEL -D STRIDE -D PIXELS (1, 2 or 4) -D
 // EIGHTS_HELD (float8 of outputs held at once) -D GROUP (work-group along x) -D WORKERS (16 / PIXELS, or a divisor of
-// it), optionally -D GATED -D RELU -D STORED. stss_cl/device/tuning.toml has PIXELS, EIGHTS_HELD
-// and GROUP of each kind of device.
+// it), optionally -D GATED -D RELU -D STORED. stss_cl/device/tuning.toml has PIXELS, EIGHTS_HELD and GROUP of each kind
+// of device.
 //
 // One work-item holds PIXELS x EIGHTS_HELD accumulators of eight channels: 4 x 3 and 2 x 4 fill a CPU's registers.
 // `tiles`, `count`: the tiles of 4 x 4 pixels of the output that are computed, see tile_list.clh. Launch (any multiple

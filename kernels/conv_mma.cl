@@ -3,15 +3,13 @@
 // and weights in half, sums in float32. Eight channels of a pixel lie together in the buffers, which is the order that
 // matrix units need. Arguments and buffers are conv.cl's, but
 //
-//  weight       in   (OUT / OUTPUTS, CHUNKS, STEPS, MATRICES, MATRIX) of uint: in the order in which work-items want
-//                    them, and the gate's with them,
-//                    stss_cl/network/pack_weights.py::fragments
+//  weight       in   (OUT / OUTPUTS, CHUNKS, STEPS, MATRICES, MATRIX) of uint: in the order in which work-items read
+//                    them, the gate's among them; see stss_cl/network/pack_weights.py::fragments
 //  gate_weight       not read
 //
-// Build -D STORED=HALF -D A -D B -D OUT -D OUTPUTS (outputs of a work-group) -D EIGHTS_AT_ONCE (of channels at once, a
-// divisor of all) -D STRIDE -D ROWS (1 or 2), all channels multiples of 8, or A is 4 and B 0; optionally -D EMULATE (mma.clh) -D
-// GATED -D RELU -D MARK (change_map.clh).
-// -D IMAGES: see conv_local.cl.
+// Build -D STORED=HALF -D A -D B -D OUT (multiples of 8, or A is 4 and B 0) -D OUTPUTS (of a work-group) -D
+// EIGHTS_AT_ONCE (of channels at once, a divisor of all) -D STRIDE -D ROWS (1 or 2), optionally -D EMULATE (mma.clh) -D
+// GATED -D RELU -D MARK (change_map.clh) -D IMAGES (conv_local.cl).
 // Work-group (LANES, WAVES): 32 x 4 ROWS pixels, a tile of the list; launch (LANES groups, WAVES OUT / OUTPUTS): a
 // group computes some tiles, and copies its weights into local memory once if all channels fit at once.
 //

@@ -27,10 +27,14 @@
 // of history and x0 is at (y + 1, x + 1); no kernel writes their border of zeros.
 // history, x0 and color3 may be a strip of the frame: R rows whose row 0 is the frame's row `top`; mask and keys cover
 // the whole frame.
-// Build: -D of motion_chain.clh and holes.cl, optionally -D STORED (history and x0), -D STREAM, and -D EIGHT_PIXELS: a
-// work-item has eight pixels in a row, for processors; -D LONGEST if GATHER is gather_longest; -D DETAIL: the second
-// colour is that of detail.clh;
-// -D RESHADE: stage reshade fills the holes.
+// Build -D of motion_chain.clh and holes.cl, optionally
+//  -D STORED        the type of history and x0
+//  -D STREAM        see common.clh
+//  -D EIGHT_PIXELS  a work-item has eight pixels in a row, for processors
+//  -D LONGEST       GATHER is gather_longest
+//  -D DETAIL        the second colour is that of detail.clh
+//  -D RESHADE       stage reshade fills the holes
+//
 // Order: chain_steps, prepare_newest, prepare_older for each older frame where the history is read, splat_nearest and
 // splat_first (with -D RESHADE find_samples), fill_holes; then downsample_8.cl. A new plane: README.md, Change a kernel.
 // Launch (W, H); prepare_* and fill_holes (C, R); with EIGHT_PIXELS an eighth of the columns.

@@ -39,12 +39,12 @@ TILT = 5.0
 """Degrees: the least median angle between stored normals and those of the surfaces that positions form, from which there is a warning.
 Found: up to 1.2 in the reference films."""
 LATE = 0.25
-"""A plane is of another frame if its error is then below this share of its error now. Found: up to 0.06 where it is, 19 and more
-where it is not."""
+"""A plane belongs to the previous frame if its error there is below this share of its error here. Found: up to 0.06 where it does, 19
+and more where it does not."""
 MOVERS = 0.01
 """Share of the surfaces with stencil 0 that move by themselves, from which there is a warning."""
 MOVER = 0.5
-"""Pixels: a surface whose motion is farther from that of the positions, with all its neighbours', moves by itself."""
+"""Pixels: a surface moves by itself if its motion and those of all its neighbours differ by more from the positions' motion."""
 FLAT = 0.1
 """A surface counts where its positions' second differences are below this share of the first."""
 
@@ -86,7 +86,7 @@ class StaticVerdict:
 
     @property
     def lags(self) -> str:
-        """The plane that is that of the previous frame: position, depth, or none."""
+        """The plane that belongs to the previous frame: position, depth, or none."""
         own = self.depth if self.depth >= 0 else np.inf
         fits = (name for name, error in zip(("position", "depth"), self.late, strict=True) if 0 <= error < LATE * own)
         return next(fits, "")
@@ -306,9 +306,9 @@ def _verdict(
 
 
 def _movers(places: NDArray[np.intp], apart: Array, size: tuple[int, int]) -> float:
-    """The share of places (N, 2) whose motion differs (``apart``, (N,)) from that of the positions, with all eight pixels around.
+    """The share of places (N, 2) that move by themselves: they and all eight pixels around differ from the positions' motion.
 
-    A silhouette, on which renderers average motion, is thinner than that.
+    ``apart`` (N,) is the difference. A silhouette, on which renderers average motion, is thinner than three pixels.
     """
     moves = np.zeros(size, np.bool_)
     moves[tuple(places[apart > MOVER].T)] = True

@@ -100,7 +100,7 @@ class Values:
         self._add_color(buffers, hit)
 
     def _count_new_objects(self, buffers: Buffers) -> None:
-        """Count the pixels of moving objects, and those with a new number, as far as other numbers are gone: objects may enter."""
+        """Count the pixels of moving objects, and of renumbered ones: at most as many as lost a number, since objects may also enter."""
         numbers, pixels = np.unique(buffers.stencil[buffers.stencil != 0], return_counts=True)
         if self._before is not None and self._before[0] == buffers.number - 1:
             _, earlier, covered = self._before

@@ -94,7 +94,7 @@ def read_header(path: Path) -> Header:
     """Read and check a file's header; no pixel is read.
 
     Raises:
-        InputError: the file is not there, not an EXR or PNG, broken, too large, cropped or deep.
+        InputError: the file is not there, not an EXR or PNG, broken, too large or deep.
     """
     with open_image(path) as image:
         return locate(path, image)[0]
@@ -210,7 +210,7 @@ class _Part(NamedTuple):
 
 
 def _plain_part(parts: Sequence[_Part], holders: Sequence[int]) -> int | None:
-    """Of the parts that have a channel of one name, the one whose channel goes by it alone: that of the picture, in the first view.
+    """The part that keeps the plain name of a channel which several parts have: the picture's part, in the first view.
 
     None where no name says which part that is: a guess by their order would take normals for colours.
     """

@@ -23,7 +23,7 @@ from stss_ground.progress import Track
 from stss_ground.regular_file import read_regular
 
 MARK = "stss-gathered.sha256"
-"""Name of a list beside the parts, which exists while they are removed: the files of all parts, which the folder has by then."""
+"""Name of a list beside the parts, there while they are removed: the files of all parts, all of which the folder then has."""
 _LINE = re.compile(r"([0-9a-f]{64})  ([^/]+)/(.+)")
 _FRAME = re.compile(r"frame\.(-?\d+)\.\w+")
 

@@ -18,11 +18,11 @@ from stss_cl.device.launch import Kernel
 from stss_cl.device.program import build
 from stss_cl.device.proof import are_right
 
-LANES, UNIT, PARTS, PAIR = 32, 16, 4, 2
-"""Work-items that multiply together, a wave; pixels of a product; ``PARTS`` x ``PAIR`` outputs: a work-item has the sums of one part."""
+LANES, UNIT, PARTS, HELD = 32, 16, 4, 2
+"""Work-items that multiply together, a wave; pixels of a product; ``PARTS`` x ``HELD`` outputs: a work-item has the sums of one part."""
 WAVES = 64 // UNIT
 """Waves in a work-group."""
-BYTES = 2 * 16 * PARTS * PAIR
+BYTES = 2 * 16 * PARTS * HELD
 """Of a product's weights, in half."""
 
 _trial: ContextVar[bool | None] = ContextVar("_trial", default=None)
@@ -53,13 +53,13 @@ def arrange(weight: NDArray[Any]) -> NDArray[Any]:
     """Weights in the order in which work-items read them.
 
     Args:
-        weight: (..., 16 channels, PARTS, PAIR).
+        weight: (..., 16 channels, PARTS, HELD).
 
     Returns:
-        (..., 16 * PARTS * PAIR): channel c is 8 i + 2 q + j; work-items by output and q, each with all i and j.
+        (..., 16 * PARTS * HELD): channel c is 8 i + 2 q + j; work-items by output and q, each with all i and j.
     """
     before = weight.shape[:-3]
-    weight = weight.reshape(*before, 2, 4, 2, PARTS, PAIR)
+    weight = weight.reshape(*before, 2, 4, 2, PARTS, HELD)
     return weight.transpose(*range(len(before)), *(len(before) + i for i in (3, 4, 1, 0, 2))).reshape(*before, -1)
 
 
@@ -70,7 +70,7 @@ def prove(device: Device) -> bool:
 
 def _product_is_right(device: Device) -> bool:
     random = np.random.default_rng(0)
-    pixels, weight = (random.integers(-8, 9, size).astype(np.float16) for size in ((UNIT, 16), (16, PARTS, PAIR)))
+    pixels, weight = (random.integers(-8, 9, size).astype(np.float16) for size in ((UNIT, 16), (16, PARTS, HELD)))
     want = 1 + pixels.astype(np.float32) @ weight.astype(np.float32).reshape(16, -1)
     got = np.empty((WAVES, *want.shape), np.float32)
     output = cl.Buffer(device.context, FLAGS.WRITE_ONLY, got.nbytes)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from stss_cl.device.buffers import from_bfloat16, to_bfloat16
 from stss_cl.device.grid import ceil8
-from stss_cl.device.matrix_units import PAIR, PARTS, arrange
+from stss_cl.device.matrix_units import HELD, PARTS, arrange
 from stss_cl.liveness import is_tiny
 from stss_ref.weights import Tensors
 
@@ -181,11 +181,11 @@ def fragments(packed: Packed, eights: int, block: int) -> NDArray[np.float16]:
         block: outputs of a work-group.
 
     Returns:
-        (OUT / block, chunks, steps, matrices, 16 * PARTS * PAIR): for each product what `arrange` makes. The inner dimension runs over
+        (OUT / block, chunks, steps, matrices, 16 * PARTS * HELD): for each product what `arrange` makes. The inner dimension runs over
         channels within taps within chunks, 16 to a step. A matrix has eight outputs; the last one has the gate in each part, and zeros.
     """
     _, _, inner, outputs = packed.direct.shape
-    weight = packed.direct.reshape(9, inner, outputs // block, block // (PARTS * PAIR), PARTS, PAIR)
+    weight = packed.direct.reshape(9, inner, outputs // block, block // (PARTS * HELD), PARTS, HELD)
     weight = np.pad(weight, [(0, 0), (0, -inner % 8), *4 * [(0, 0)]])
     if packed.gate_direct is not None:
         gate = np.zeros((*weight.shape[:3], 1, *weight.shape[4:]), weight.dtype)

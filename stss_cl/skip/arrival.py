@@ -29,12 +29,12 @@ COMPARED = ("gbuffer", "nov", "stencil", "position")
 
 Planes = Mapping[str, cl.Buffer]
 Arrived = tuple[str | None, Tiles | None, Tiles | None]
-"""Name of a plane that is not finite; where the frame differs from the one before it, and its colour from the last one before it; None
-where nothing was compared."""
+"""Name of a plane that is not finite; the tiles that differ from the previous frame; those whose colour differs from the previous colour;
+None: all is finite, or nothing was compared."""
 
 
 class Arrival:
-    """Looks at frames of one size, in one launch; where they are compared, one read brings the result; else a GPU is not waited for."""
+    """Checks and compares frames of one size, in one launch. A comparison needs a read of the result; without one no GPU is waited for."""
 
     def __init__(self, device: Device, height: int, width: int):
         self._device, self._size, self._shape = device, (height, width), (ceil_div(height, 4), ceil_div(width, 4))
@@ -58,7 +58,7 @@ class Arrival:
         self._kernel.set(height=self._size[0])
 
     def look(self, planes: Planes, color: cl.Buffer | None, before: Planes | None, color_before: cl.Buffer | None) -> Arrived:
-        """Look at one.
+        """Look at a frame.
 
         Args:
             planes: all but the colour.
