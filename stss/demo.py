@@ -134,6 +134,12 @@ def demo(
         bilinear = load(BILINEAR)
         comparisons["bilinear"] = score("bilinear", bilinear, open_backend("ref", bilinear.weights))
     comparisons["output"] = score("output", loaded, open_backend(backend, loaded.weights, compute, tell=tell))
+    _write_page(out, sequence, comparisons)
+    console.print(f"page to look at: {out / 'page.html'}", soft_wrap=True, highlight=False, markup=False)
+
+
+def _write_page(out: Path, sequence: Sequence, comparisons: dict[str, Comparison]) -> None:
+    """Write ``out/page.html``: every version's frames beside the truth."""
     versions = [
         Version(n, _MEANINGS[n], find_pairs(out / n, out / "truth")[0], comparison) for n, comparison in comparisons.items()
     ]
@@ -147,7 +153,6 @@ def demo(
             save=lambda path, text: folder.write(path.name, text.encode()),
         )
         folder.finish(remove_others=False)
-    console.print(f"page to look at: {out / 'page.html'}", soft_wrap=True, highlight=False, markup=False)
 
 
 def _test_device(weights: LoadedWeights | None, compute: ComputeOptions, tell: Callable[[str], None]) -> None:

@@ -149,13 +149,34 @@ def whole_png(file: BinaryIO) -> bool:
 
 def locate(path: Path, image: oiio.ImageInput) -> tuple[Header, dict[str, tuple[int, int]]]:
     """The header of all parts, and where each channel lies: name -> (part, index)."""
+    display = _display(image.spec())
+    parts, attributes, views = _read_parts(path, image, display)
     places: dict[str, tuple[int, int]] = {}
     formats: dict[str, str] = {}
     windows: dict[str, PixelWindow] = {}
     compression: dict[str, str] = {}
+    holders: dict[str, list[int]] = {}
+    for number, each in enumerate(parts):
+        for name in each.channels:
+            holders.setdefault(name, []).append(number)
+    plain = {name: _plain_part(parts, numbers) for name, numbers in holders.items()}
+    for number, each in enumerate(parts):
+        for index, name in enumerate(each.channels):
+            full = name if plain[name] == number else f"{each.name}.{name}"
+            if full in places:
+                raise InputError(f"{path}: channel {full} appears twice")
+            places[full] = number, index
+            formats[full], windows[full], compression[full] = each.formats[index], each.data, each.compression
+    header = Header(path, display, windows, tuple(places), formats, compression, attributes, views)
+    return header, places
+
+
+def _read_parts(
+    path: Path, image: oiio.ImageInput, display: PixelWindow
+) -> tuple[list[_Part], dict[str, Value], tuple[str, ...]]:
+    """The headers of all parts, their metadata as one, and their views; a file that is too large is refused on the way."""
     attributes: dict[str, Value] = {}
     views: dict[str, None] = {}
-    display = _display(image.spec())
     part, size = 0, 0
     parts: list[_Part] = []
     while image.seek_subimage(part, 0):
@@ -182,20 +203,7 @@ def locate(path: Path, image: oiio.ImageInput) -> tuple[Header, dict[str, tuple[
             limits = f"{MAX_PARTS}, {MAX_CHANNELS} and {MAX_BYTES}"
             raise InputError(f"{path}: {part} parts, {count} channels, {size} bytes; at most {limits}")
     last_error(image)
-    holders: dict[str, list[int]] = {}
-    for number, each in enumerate(parts):
-        for name in each.channels:
-            holders.setdefault(name, []).append(number)
-    plain = {name: _plain_part(parts, numbers) for name, numbers in holders.items()}
-    for number, each in enumerate(parts):
-        for index, name in enumerate(each.channels):
-            full = name if plain[name] == number else f"{each.name}.{name}"
-            if full in places:
-                raise InputError(f"{path}: channel {full} appears twice")
-            places[full] = number, index
-            formats[full], windows[full], compression[full] = each.formats[index], each.data, each.compression
-    header = Header(path, display, windows, tuple(places), formats, compression, attributes, tuple(views))
-    return header, places
+    return parts, attributes, tuple(views)
 
 
 class _Part(NamedTuple):

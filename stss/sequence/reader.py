@@ -344,13 +344,7 @@ def open_sequence(
         require_choice(name, value, choices)
     table = settle_profile(path, profile)
     cameras = None if camera is None else read_cameras(camera)
-    constants = dict(table.constants)
-    for buffer, value in (("metallic", metallic), ("roughness", roughness)):
-        if value is not None:
-            require_kind(buffer, value, (int, float, np.floating), "a number from 0 to 1")
-            constants[buffer] = value
-            if not 0 <= value <= 1:
-                raise InputError(f"{buffer}: expected a number from 0 to 1, found {value}")
+    constants = {**table.constants, **_constants(metallic=metallic, roughness=roughness)}
     files_by_number = frames_of(path, table)
     first: Header | None = None
     frames: dict[int, RawFrame] = {}
@@ -405,6 +399,16 @@ class SequenceOptions:
     def open(self, path: str | Path, track: Track = iter, *, keep_going: bool = False) -> Sequence:
         """Open a sequence with these choices; errors as of `open_sequence`."""
         return open_sequence(path, **vars(self), track=track, keep_going=keep_going)
+
+
+def _constants(**values: float | None) -> dict[str, float]:
+    """The values that the user chose, checked: buffer -> number."""
+    constants = {buffer: value for buffer, value in values.items() if value is not None}
+    for buffer, value in constants.items():
+        require_kind(buffer, value, (int, float, np.floating), "a number from 0 to 1")
+        if not 0 <= value <= 1:
+            raise InputError(f"{buffer}: expected a number from 0 to 1, found {value}")
+    return constants
 
 
 def _require_window(header: Header, first: Header) -> None:
