@@ -128,13 +128,18 @@ def _bitcode_ends(data: bytes) -> bool:
 
 
 def _object_ends(data: bytes) -> bool:
-    """Whether the table of sections, at the end of an ELF file of 64 bits, is there; of another format, whether there is anything."""
+    """Whether the segments of an ELF file of 64 bits are there, and its table of sections; of another format, whether there is anything.
+
+    The table comes last, but our own linker writes none.
+    """
     if data[:5] != b"\x7fELF\x02":
         return any(data[:4]) and data[:4] != b"\x7fELF"
     order = "<" if data[5] == 1 else ">"
-    (sections,) = struct.unpack_from(f"{order}Q", data, 40)
-    size, number = struct.unpack_from(f"{order}HH", data, 58)
-    return 0 < sections + size * number <= len(data)
+    segments, sections = struct.unpack_from(f"{order}2Q", data, 32)
+    segment, count, section, number = struct.unpack_from(f"{order}4H", data, 54)
+    parts = (struct.unpack_from(f"{order}8xQ16xQ", data, segments + i * segment) for i in range(count))
+    end = max((sections + section * number, *(offset + size for offset, size in parts)))
+    return 0 < end <= len(data)
 
 
 def _remember(folder: Path, records: set[str], boot: str) -> None:

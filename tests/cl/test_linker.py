@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from stss_cl.device import caches, linker
+from stss_cl.device.kernel_files import is_whole
 from stss_cl.device.own_linker import HEADER, RELOCATION, SECTION, LinkError, Section, link
 from stss_ground.errors import DeviceError
 from tests.cl.conftest import opened_as
@@ -63,6 +64,17 @@ def test_without_any_program_the_bits_are_the_same(tmp_path):
     assert alone.stdout == usual.stdout
     (program,) = (tmp_path / "a" / "stss" / "linker").glob("*/ld")
     assert program.stat().st_mode & 0o777 == 0o700
+    kernels = {path: path.stat().st_mtime_ns for path in (tmp_path / "a").rglob("*.so")}
+    again = compute(tmp_path / "a", tmp_path / "nothing")
+    assert (again.returncode, again.stderr, again.stdout) == (0, b"", alone.stdout)
+    assert kernels == {path: path.stat().st_mtime_ns for path in (tmp_path / "a").rglob("*.so")}, "kept for the next process"
+
+
+def test_what_was_cut_short_is_seen(objects):
+    for data in map(link, objects):
+        assert is_whole(".so", data)
+        assert not is_whole(".so", data[:-1])
+        assert not is_whole(".so", bytes(len(data)))
 
 
 def sections(data):
