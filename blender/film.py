@@ -96,7 +96,7 @@ def require(scene: Any, cuts: Collection[int] = ()) -> None:
         FilmError: it cannot.
     """
     if scene.render.engine != "CYCLES":
-        raise FilmError(f"expected the engine Cycles, found {scene.render.engine}: only Cycles writes the pass Vector")
+        raise FilmError(f"expected the engine Cycles, found {scene.render.engine}: only Cycles writes the pass Object Index")
     if scene.camera is None:
         raise FilmError("the scene has no camera")
     if layer_of(scene) is None:

@@ -165,6 +165,14 @@ pathlib.Path({str(tmp_path / "ended")!r}).touch()
     assert not (tmp_path / "ended").exists()
 
 
+def test_another_engine_is_refused_before_anything_is_rendered(film):
+    scene = types.SimpleNamespace(render=types.SimpleNamespace(engine="BLENDER_EEVEE"))
+    with pytest.raises(
+        film.FilmError, match="expected the engine Cycles, found BLENDER_EEVEE: only Cycles writes the pass Object"
+    ):
+        film.require(scene)
+
+
 def test_an_extension_without_packages_says_so(film, tmp_path):
     with pytest.raises(film.FilmError, match="no stss: install the zip"):
         next(film.supersample(tmp_path, 0))
