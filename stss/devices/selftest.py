@@ -20,7 +20,7 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from conformance.tolerance import ratio
-from stss.devices.trial import trial_weights
+from stss.devices.trial import SIZE, trial_weights
 from stss.weights.file import REALTIME
 from stss_cl.device.discovery import Device, DeviceError, open_device
 from stss_cl.device.launch import Kernel
@@ -143,7 +143,7 @@ class Display(NamedTuple):
 
 def frames(device: Device, generator: np.random.Generator, trial: str = REALTIME) -> None:
     """Display frames in sequence against the reference: the programs are those that `stss run` builds."""
-    weights, size = trial_weights(trial), (24, 40)
+    weights, size = trial_weights(trial), SIZE
     stream, window = Stream(weights, device), list[Display]()
     color, gbuffer, nov, position = (generator.random((*size, *c)).astype(np.float32) for c in ((3,), (9,), (), (3,)))
     for number in range(8):

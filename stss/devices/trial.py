@@ -9,6 +9,8 @@ from stss_ref.weights import Weights, random
 
 EVERY = "every"
 """Random weights, which need all layers."""
+SIZE = 24, 40
+"""Height and width of its frames."""
 TRIALS = (REALTIME, ANTIALIASED, EVERY)
 """The one with the fewest layers first: each has the layers of the previous one."""
 

@@ -24,10 +24,13 @@ from filelock import FileLock, Timeout
 import stss_cl
 import stss_ref
 from conformance import tolerance
+from stss.devices import child
+from stss.devices.compile_ahead import compilers, idle_processors
 from stss.devices.trial import TRIALS
 from stss.weights.file import REALTIME, SHIPPED
 from stss_cl.device import program
-from stss_cl.device.caches import home, is_temporary, private, read, store
+from stss_cl.device.caches import is_temporary, private, read, store
+from stss_cl.device.discovery import Properties
 from stss_ground.errors import DeviceError
 from stss_ground.terminal import printable
 from stss_ground.version import VERSION
@@ -52,7 +55,6 @@ COMMAND = (sys.executable, "-m", "stss.devices.selftest")
 
 Tell = Callable[[str], None]
 
-_PACKAGE = Path(__file__).parents[1]
 _OUTCOMES = ("passed", "failed", "hung", "crashed")
 _MOST_BYTES = 1 << 16
 
@@ -115,7 +117,10 @@ def verdict(
         )
         if is_temporary():
             tell("no writable cache folder: kernels are built for this process only; XDG_CACHE_HOME names another folder")
-        new = run_selftest(name, command, limit, trial=trial)
+        # Only PoCL's compiler is known to use what other processes have in its cache.
+        count = idle_processors() if command == COMMAND and Properties(handle).is_pocl_processor else 0
+        with compilers(name, trial, count):
+            new = run_selftest(name, command, limit, trial=trial)
         if again:  # a failed later trial runs again when it is needed
             for later in TRIALS[TRIALS.index(trial) + 1 :]:
                 if (old := _read_verdict(name, handle, later)) and not old.passed:
@@ -166,37 +171,23 @@ def _with_checksum(path: Path, text: bytes) -> bytes:
 def run_selftest(name: str, command: Sequence[str] = COMMAND, limit: float | None = None, *, trial: str = REALTIME) -> Verdict:
     """Test a device in a child process, which is killed with all that it started after ``limit`` seconds; None: `TIME_LIMIT`."""
     limit, start = _limit() if limit is None else limit, time.monotonic()
-    # In the folder of our packages: -m takes modules from the working directory first, and the user's may hold anything.
-    child = subprocess.Popen(
-        [*command, name, trial],
-        cwd=_PACKAGE.parent,
-        env={
-            **os.environ,
-            "XDG_CACHE_HOME": str(home()),
-        },  # this process uses its compiled kernels, also from a temporary folder
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        errors="replace",
-        start_new_session=True,
-    )
-    watch = _Watch(child.pid, limit)
+    test = child.start([*command, name, trial], subprocess.PIPE)
+    watch = _Watch(test.pid, limit)
     try:
         while True:
             try:
-                out, log = child.communicate(timeout=POLL)
+                out, log = test.communicate(timeout=POLL)
                 break
             except subprocess.TimeoutExpired:
-                if child.poll() is not None:
-                    _kill(child)  # a process that it left behind holds its output open
+                if test.poll() is not None:
+                    child.kill(test)  # a process that it left behind holds its output open
                 elif why := watch.over():
                     return Verdict("hung", why, seconds=round(time.monotonic() - start, 3), lasting=False)
     finally:
-        _kill(child)
-        for pipe in filter(None, (child.stdout, child.stderr)):
+        child.kill(test)
+        for pipe in filter(None, (test.stdout, test.stderr)):
             pipe.close()
-    return _read(child.returncode, out, log, round(time.monotonic() - start, 3))
+    return _read(test.returncode, out, log, round(time.monotonic() - start, 3))
 
 
 class _Watch:
@@ -273,17 +264,6 @@ def _read(status: int, out: str, log: str, seconds: float) -> Verdict:
     except (ValueError, TypeError, LookupError):
         return Verdict("failed", last or f"ended with status {status} and no result", seconds=seconds, lasting=False)
     return Verdict("failed" if why else "passed", why, gflops, seconds)
-
-
-def _kill(child: subprocess.Popen[str]) -> None:
-    """End the child and all that it started, whether or not it ended by itself."""
-    if hasattr(os, "killpg"):
-        with suppress(ProcessLookupError, PermissionError):
-            os.killpg(child.pid, signal.SIGKILL)
-    elif child.poll() is None:
-        child.kill()
-    with suppress(subprocess.TimeoutExpired):  # a process that the driver holds inside the kernel cannot be ended
-        child.wait(timeout=5)
 
 
 def _signal(number: int) -> str:

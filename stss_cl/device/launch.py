@@ -4,9 +4,12 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable, Mapping, Set
+from collections.abc import Callable, Generator, Hashable, Iterable, Mapping, Set
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyopencl as cl
@@ -23,6 +26,30 @@ FORMATS = {"int": "i", "uint": "I", "float": "f"}
 """Type of a struct's member -> its format for Python's ``struct``: all have the same size, so there is no padding between them."""
 
 
+class Load(NamedTuple):
+    """The first launch of a kernel, for which the runtime compiles it.
+
+    ``key``: program, kernel and work-group, for which it is compiled once.
+    """
+
+    key: Hashable
+    run: Callable[[], None]
+
+
+_waiting: ContextVar[list[Load] | None] = ContextVar("_waiting", default=None)
+
+
+@contextmanager
+def defer_loads() -> Generator[list[Load]]:
+    """Within the block, and in this thread, ``load`` launches nothing: the list gets the launches, for the caller to run."""
+    loads: list[Load] = []
+    token = _waiting.set(loads)
+    try:
+        yield loads
+    finally:
+        _waiting.reset(token)
+
+
 class Kernel:
     """A kernel whose arguments are set by name.
 
@@ -32,19 +59,18 @@ class Kernel:
         arguments: the arguments that are known by now.
 
     Raises:
-        TypeError: the kernel has no such argument, or it is of another type; or the source has an unknown form.
+        TypeError: the kernel has no such argument, or it is of another type.
     """
 
     def __init__(self, program: Program, name: str, arguments: Arguments | None = None):
         self.name = name
-        self._kernel = cl.Kernel(program.handle, name)
+        self._program = program
+        self._handle: cl.Kernel | None = None
+        self._values: dict[int, Any] = {}
         self._places: dict[str, tuple[int, str]] = {}
         self._members: dict[str, tuple[int, str]] = {}
         self._structs: dict[int, tuple[str, dict[str, float]]] = {}
-        signature = program.arguments(name)
-        if len(signature) != self._kernel.num_args:
-            raise TypeError(f"kernel {name}: it takes {self._kernel.num_args} arguments, read {len(signature)} in its source")
-        for place, (argument, kind) in enumerate(signature):
+        for place, (argument, kind) in enumerate(program.arguments(name)):
             members = program.structs.get(kind)
             if members is None:
                 self._places[argument] = place, kind
@@ -64,7 +90,7 @@ class Kernel:
         for name, value in values.items():
             if name in self._places:
                 place, kind = self._places[name]
-                self._kernel.set_arg(place, self._convert(name, value, kind))
+                self._set(place, self._convert(name, value, kind))
             elif name in self._members:
                 place, kind = self._members[name]
                 self._structs[place][1][name] = self._convert(name, value, kind)
@@ -73,7 +99,7 @@ class Kernel:
                 raise TypeError(f"kernel {self.name}: it has no argument {name}")
         for place in structs:
             layout, members = self._structs[place]
-            self._kernel.set_arg(place, struct.pack(layout, *members.values()))
+            self._set(place, struct.pack(layout, *members.values()))
         if self._open:
             self._open = self._open - values.keys()
 
@@ -81,20 +107,54 @@ class Kernel:
         """Enqueue the kernel over a global size in work-groups.
 
         Raises:
-            TypeError: an argument has not been set.
+            TypeError: an argument has not been set, or the source has an unknown form.
+            DeviceError: its program does not build.
         """
+        handle = self._handle or self._make()
         if self._open:
             raise TypeError(f"kernel {self.name}: argument {min(self._open)} is missing")
-        return cl.enqueue_nd_range_kernel(queue, self._kernel, size, group)
+        return cl.enqueue_nd_range_kernel(queue, handle, size, group)
 
-    def load(self, queue: cl.CommandQueue, size: tuple[int, ...], group: tuple[int, ...] | None, **nothing: Any) -> cl.Event:
-        """Launch it now, with the arguments ``nothing`` for no work: runtimes load or compile a kernel at its first launch."""
+    def load(
+        self, queue: cl.CommandQueue, size: tuple[int, ...], group: tuple[int, ...] | None, nothing: Arguments, own: Arguments
+    ) -> None:
+        """Launch it with the arguments ``nothing`` for no work, then set ``own``: runtimes compile a kernel at its first launch.
+
+        Within `defer_loads` this waits.
+        """
+        load = Load((id(self._program), self.name, group), partial(self._load, queue, size, group, nothing, own))
+        waiting = _waiting.get()
+        if waiting is None:
+            load.run()
+        else:
+            waiting.append(load)
+
+    def _load(
+        self, queue: cl.CommandQueue, size: tuple[int, ...], group: tuple[int, ...] | None, nothing: Arguments, own: Arguments
+    ) -> None:
         missing = self._open
         unset = {name: None if name in self._places and self._places[name][1].endswith("*") else 0 for name in missing}
         self.set(**{**unset, **nothing})
-        event = self.enqueue(queue, size, group)
+        self.enqueue(queue, size, group)
+        self.set(**own)
         self._open = missing
-        return event
+
+    def _set(self, place: int, value: Any) -> None:
+        if self._handle is None:
+            self._values[place] = value
+        else:
+            self._handle.set_arg(place, value)
+
+    def _make(self) -> cl.Kernel:
+        """OpenCL's kernel, at the first launch: until then its program need not be built."""
+        handle, known = cl.Kernel(self._program.handle, self.name), len(self._program.arguments(self.name))
+        if known != handle.num_args:
+            raise TypeError(f"kernel {self.name}: it takes {handle.num_args} arguments, read {known} in its source")
+        for place, value in self._values.items():
+            handle.set_arg(place, value)
+        self._handle = handle
+        self._values.clear()
+        return handle
 
     def _convert(self, name: str, value: Any, kind: str) -> Any:
         """``value`` in the type that the kernel takes."""
@@ -132,8 +192,8 @@ class Launch:
 
     def load(self, queue: cl.CommandQueue, **nothing: Any) -> None:
         """Launch it now with the arguments ``nothing``, so that it does no work; its own arguments stay."""
-        self.kernel.load(queue, self.size, self.group, **nothing)
-        self.set(**{name: self.arguments[name] for name in nothing if name in self.arguments})
+        own = {name: self.arguments[name] for name in nothing if name in self.arguments}
+        self.kernel.load(queue, self.size, self.group, nothing, own)
 
     def enqueue(self, queue: cl.CommandQueue) -> cl.Event:
         """Put it into the queue."""

@@ -13,7 +13,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from threading import Lock
 from typing import Any
-from weakref import WeakKeyDictionary
+from weakref import WeakKeyDictionary, ref
 
 import pyopencl as cl
 from pyopencl.characterize import has_src_build_cache
@@ -42,17 +42,32 @@ _building = Lock()
 
 
 class Program:
-    """A built program, and its kernels' arguments.
+    """A program, which is built when its first kernel is needed, and its kernels' arguments, which are known before.
 
     Attributes:
-        handle: OpenCL's.
         structs: struct -> members with their types, in order, of those that have only numbers.
     """
 
-    def __init__(self, program: cl.Program, text: str, options: str):
-        self.handle, self.structs = program, signatures.structs(text)
-        self._text, self._defined = text, set(re.findall(r"-D (\w+)", options))
+    def __init__(self, device: Device, file: str, options: str):
+        self._device, self._file, self._options, self._text = ref(device), file, options, source(file)
+        self.structs = signatures.structs(self._text)
+        self._defined = set(re.findall(r"-D (\w+)", options))
         self._arguments: dict[str, list[tuple[str, str]]] = {}
+        self._handle: cl.Program | None = None
+
+    @property
+    def handle(self) -> cl.Program:
+        """OpenCL's, built now if need be.
+
+        Raises:
+            DeviceError: it does not build; the message has the source line that the compiler's log names, ``log`` has the whole log.
+        """
+        with _building:
+            if self._handle is None:
+                device = self._device()
+                assert device is not None, "the device is held by those who use its programs"
+                self._handle = _build(device, self._file, self._text, self._options)
+            return self._handle
 
     def arguments(self, kernel: str) -> list[tuple[str, str]]:
         """Name and type of each argument of a kernel, in order."""
@@ -66,16 +81,13 @@ _programs: WeakKeyDictionary[Device, dict[tuple[str, str], Program]] = WeakKeyDi
 
 
 def build(device: Device, file: str, options: Mapping[str, object] | None = None, flags: str = "") -> Program:
-    """Build ``kernels/file`` for ``device``; the same file with the same options is built once.
+    """The program of ``kernels/file`` for ``device``; the same file with the same options is built once, when it is needed.
 
     Args:
         device: to build for.
         file: name in ``kernels/``.
         options: ``-D NAME=value``; a value of True stands for ``-D NAME``, False and None for none.
         flags: further compiler options.
-
-    Raises:
-        DeviceError: it does not build; the message has the source line that the compiler's log names, ``log`` has the whole log.
     """
     defines = [f"-D {k}" if v is True else f"-D {k}={v}" for k, v in (options or {}).items() if v is not None and v is not False]
     together = ["-cl-std=CL1.2", *defines, device.compiler_options, flags, FLUSH]
@@ -84,7 +96,7 @@ def build(device: Device, file: str, options: Mapping[str, object] | None = None
     with _building:
         programs = _programs.setdefault(device, {})
         if key not in programs:
-            programs[key] = _build(device, file, key[1])
+            programs[key] = Program(device, file, key[1])
         return programs[key]
 
 
@@ -115,8 +127,7 @@ def source(file: str) -> str:
     return expand(file)
 
 
-def _build(device: Device, file: str, options: str) -> Program:
-    text = source(file)
+def _build(device: Device, file: str, text: str, options: str) -> cl.Program:
     try:
         with warnings.catch_warnings(), _our_options_alone():
             if "PYOPENCL_COMPILER_OUTPUT" in os.environ:
@@ -141,24 +152,24 @@ def _our_options_alone() -> Generator[None]:
             os.environ["PYOPENCL_BUILD_OPTIONS"] = theirs
 
 
-def _load_or_build(device: Device, text: str, options: str) -> Program:
+def _load_or_build(device: Device, text: str, options: str) -> cl.Program:
     """Build a program; on platforms without a cache, from the binary that an earlier process stored."""
     if has_src_build_cache(device.handle):
         with suppress(cl.Error):
-            return Program(cl.Program(device.context, text).build(options), text, options)
+            return cl.Program(device.context, text).build(options)
         # Some versions of PoCL fail if another process makes the same cache folder at the same moment. By now it exists.
-        return Program(cl.Program(device.context, text).build(options), text, options)
+        return cl.Program(device.context, text).build(options)
     what = json.dumps([device.name, device.driver, device.platform_version, options, text])
     path = private("binaries") / hashlib.sha256(what.encode()).hexdigest()
     data = read(path, MOST_BINARY) or b""
     binary = data[DIGEST:]
     if binary and hashlib.sha256(binary).digest() == data[:DIGEST]:  # a driver may end the process where its binary is damaged
         with suppress(cl.Error):  # a driver may refuse its own binary; then the program is built anew
-            return Program(cl.Program(device.context, [device.handle], [binary]).build(options), text, options)
+            return cl.Program(device.context, [device.handle], [binary]).build(options)
     program = cl.Program(device.context, text).build(options)
     binaries: Any = program.get_info(cl.program_info.BINARIES)
     store(path, hashlib.sha256(binaries[0]).digest() + binaries[0])
-    return Program(program, text, options)
+    return program
 
 
 def _fault(log: str, text: str) -> str:

@@ -54,8 +54,7 @@ class Arrival:
 
     def load(self) -> None:
         """Have the runtime load or compile the kernel, at a frame of no rows."""
-        self._kernel.load(self._queue, *self._groups, height=0).wait()
-        self._kernel.set(height=self._size[0])
+        self._kernel.load(self._queue, *self._groups, {"height": 0}, {"height": self._size[0]})
 
     def look(self, planes: Planes, color: cl.Buffer | None, before: Planes | None, color_before: cl.Buffer | None) -> Arrived:
         """Look at a frame.

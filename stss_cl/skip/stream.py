@@ -16,6 +16,8 @@ from stss_cl.cost import Cost
 from stss_cl.device.buffers import Outgoing, mask_of, on_device
 from stss_cl.device.discovery import Device
 from stss_cl.device.grid import ceil8
+from stss_cl.device.launch import defer_loads
+from stss_cl.device.staging import staging
 from stss_cl.frame import Frame
 from stss_cl.image_space.frame_planes import MOST_STEPS, Sources, check_steps
 from stss_cl.network.layer_builder import dtype_of
@@ -174,15 +176,30 @@ class Stream:
         dirty = self._dirty(uploaded, cache, frames, cache.read(distances)) if looking else None
         return self._compute(cache, frames, distances, dirty, looking, out)
 
-    def expect(self, size: tuple[int, int]) -> None:
+    def expect(self, size: tuple[int, int], back_from: float | None = None) -> None:
         """Build all kernels and buffers for frames of (H, W), for example while the first is read, so that no call builds any.
 
         An exception: the first call with a plane of half builds the kernel that widens it.
+
+        Args:
+            size: of the frames.
+            back_from: build the kernels before this share of them first, and all in reverse order. Processes that do so from different
+                ones share the work with one that does not, if the compiler has a cache.
         """
-        self._arriving(size).load()
-        if None in [self._keep(size, extrapolates=kind) for kind in (False, True)]:
-            self._whole.expect(size)
+        with defer_loads() as loads:
+            self._arriving(size).load()
+            if None in [self._keep(size, extrapolates=kind) for kind in (False, True)]:
+                self._whole.expect(size)
+        once = {load.key: load for load in reversed(loads)}
+        order = [load for load in loads if once[load.key] is load]
+        if back_from is not None:
+            end = round(back_from * len(order))
+            order = [*order[:end][::-1], *order[end:][::-1]]
+        for load in (*order, *(load for load in loads if once[load.key] is not load)):
+            load.run()
         self.device.queue.finish()  # some runtimes compile only when the queue runs
+        if not self.device.is_cpu:
+            staging(self.device).uploads.finish()
 
     def activity(self) -> NDArray[np.float32]:
         """The share of the network that the last frame needed, for each 4 x 4 of its pixels: from 0, nothing, to 1, everything.

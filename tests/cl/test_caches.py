@@ -39,6 +39,12 @@ def cache_home(tmp_path, monkeypatch):
     caches.temporary_folder.cache_clear()
 
 
+def build_anew(device):
+    """Build a program for the same device, for which nothing is built yet."""
+    opened = open_device(device.name)
+    assert program.build(opened, "selftest.cl").handle
+
+
 @pytest.fixture
 def bare(tmp_path):
     """The environment of a user with an empty home."""
@@ -94,7 +100,7 @@ def test_a_damaged_kernel_is_built_anew(processor, bare, tmp_path, damages):
 @pytest.mark.parametrize("how", ["empty", "cut", "zeros"])
 def test_a_kernel_of_a_killed_process_is_whole_or_built_anew(processor, cache_home, tmp_path, how):
     """It is in no list, and without a digest its own tables say how long it is."""
-    program.build(open_device(processor.name), "selftest.cl")
+    build_anew(processor)
     for path in kernels(cache_home):
         data = path.read_bytes()
         assert kernel_files.is_whole(path.suffix, data)
@@ -216,7 +222,7 @@ def test_a_driver_without_a_cache_gets_binaries_without_pickles(processor, monke
     for content in (None, b"", b"not a binary"):
         if content is not None:
             next(folder.iterdir()).write_bytes(content)
-        program.build(open_device(processor.name), "selftest.cl")
+        build_anew(processor)
         (binary,) = folder.iterdir()
         assert len(binary.read_bytes()) > 1000
     monkeypatch.setattr(program, "source", lambda file: pytest.fail("expected the binary"))
@@ -289,5 +295,5 @@ def test_a_build_that_another_process_disturbed_is_tried_again(processor, monkey
 
     monkeypatch.setattr(program, "has_src_build_cache", lambda handle: True)
     monkeypatch.setattr(cl.Program, "build", disturbed)
-    program.build(open_device(processor.name), "selftest.cl")
+    build_anew(processor)
     assert len(calls) == 2

@@ -146,7 +146,7 @@ def test_names_are_those_of_the_compiler(processor, file, options):
 def test_a_declaration_that_is_not_understood_is_one_line(processor, kernels):
     (kernels / "f.cl").write_text("#define TWO global float *a, global float *b\nkernel void f(TWO, const int c) {}\n")
     with pytest.raises(TypeError, match="kernel f: it takes 3 arguments, read 2 in its source"):
-        Kernel(program.build(processor, "f.cl"), "f")
+        Kernel(program.build(processor, "f.cl"), "f").enqueue(processor.queue, (1,), (1,))
 
 
 def test_a_frames_kernels_may_take_their_arguments_in_any_order(gpu, unoptimised, tmp_path, monkeypatch):

@@ -100,7 +100,7 @@ def shots(size):
 def test_what_is_expected_is_compiled_before_the_first_frame(device, compiled, skip):
     size, device = (16, 24), anew(device)
     stream, parts = Stream(WEIGHTS, device, skip=skip), set()
-    stream.expect(size)
+    stream.expect(size, None if skip == "exact" else 0.4)  # in any order
     expected = compiled(device)
     assert len(expected) > 50
     assert stream._caches.keys() == ({False, True} if skip == "exact" else set())  # an EF packs no weights anew

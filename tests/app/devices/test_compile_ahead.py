@@ -1,0 +1,63 @@
+"""Kernels are compiled on idle processors while the device is tested."""
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from stss.devices import child, compile_ahead
+from stss.devices.compile_ahead import compilers, idle_processors
+from stss.weights.file import REALTIME
+
+NETWORK = {"winograd", "winograd_image", "prepare_newest", "arrive", "upsample_corners"}
+
+
+def compiled(home):
+    """The kernels that PoCL has compiled into this cache, by file and name."""
+    return {(path, path.parents[1].name) for path in Path(home).rglob("*.so")}
+
+
+@pytest.mark.thorough
+def test_the_self_test_finds_the_kernels(device, tmp_path, monkeypatch):
+    """Those of the network and of frames, whatever the share that one process begins with; the rest are the self-test's own."""
+    if not device.is_pocl_processor:
+        pytest.skip("not PoCL on a processor")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    for command in (
+        (*compile_ahead.COMMAND, device.name, REALTIME, "0.4"),
+        (sys.executable, "-m", "stss.devices.selftest", device.name, REALTIME),
+    ):
+        before = compiled(tmp_path)
+        test = child.start(command, subprocess.PIPE)
+        _, log = test.communicate()
+        assert not test.returncode, log
+        new = {name for _, name in compiled(tmp_path) - before}
+        assert new >= NETWORK if not before else not new & NETWORK
+
+
+def test_they_end_with_the_self_test(tmp_path):
+    """Each begins at another share, the last one at the end."""
+    note = (
+        f"import os, sys, time; open(os.path.join({str(tmp_path)!r}, sys.argv[3]), 'w').write(str(os.getpid())); time.sleep(60)"
+    )
+    with compilers("A: b", "every", 2, (sys.executable, "-c", note)):
+        while len(files := [path for path in tmp_path.iterdir() if path.read_text()]) < 2:
+            time.sleep(0.02)
+    assert {path.name for path in files} == {"0.5", "1.0"}
+    for path in files:
+        with pytest.raises(ProcessLookupError):
+            os.kill(int(path.read_text()), 0)
+
+
+def test_busy_processors_compile_nothing(monkeypatch):
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: range(8), raising=False)
+    for running, idle in ((1, 7), (3, 5), (8, 0), (99, 0)):
+        monkeypatch.setattr(Path, "read_text", lambda self, running=running: f"0.50 1.00 2.00 {running}/300 1234\n")
+        assert idle_processors() == idle
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: range(64), raising=False)
+    assert idle_processors() == 0
+    monkeypatch.setattr(Path, "read_text", lambda self: "nothing that is known")
+    assert idle_processors() == compile_ahead.MOST
