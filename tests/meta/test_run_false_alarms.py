@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Right ports pass: a part of ``make alarms``, which runs the full tier on all of them."""
 
+import json
+import sys
+
 import numpy as np
 import pytest
 
@@ -9,7 +12,7 @@ from conformance.cases.stage_inputs import make_weights
 from conformance.judging.judge import Judge, Tier
 from conformance.protocol.stages import STAGES
 from tests.meta.right_ports import port
-from tests.meta.run_false_alarms import judged
+from tests.meta.run_false_alarms import judged, main, stands_for
 from tests.tiers import thorough
 
 JUDGED = {
@@ -40,3 +43,21 @@ def test_a_key_may_lose_what_is_no_normal_number():
     inputs, _ = network_case("erm", (16, 16), np.random.default_rng(0))
     case = inputs, make_weights("small keys", 0)
     Judge(port("half_flush")).check(lambda judge, drawn: judge.agrees("erm", *drawn), case)
+
+
+def test_a_port_is_judged_where_its_own_functions_are_called():
+    """Not where it differs from ``as_is`` in bits: sums decide masks, which hardly ever differ."""
+    assert stands_for("in_order", "warp") == "as_is"
+    assert stands_for("in_order", "sequence") == "in_order"
+    assert stands_for("orders", "holes") == "orders"
+    assert stands_for("flush", "rrm") == "flush"
+
+
+def test_a_stopped_run_goes_on(monkeypatch, tmp_path, capsys):
+    file = tmp_path / "found.json"
+    file.write_text(json.dumps({"as_is rrm": [["an alarm"], {"rrm": 0.0}, [1, 0, 0]]}))
+    monkeypatch.setattr(sys, "argv", ["run_false_alarms", "as_is", "rrm", "--found", str(file)])
+    with pytest.raises(SystemExit) as end:
+        main()
+    assert end.value.code == 1
+    assert "cases" not in capsys.readouterr().out  # nothing was judged again
