@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Inputs of engines that no strategy draws: motion of -0, stencils beyond 8 and 16 bits, surplus motions, lost values."""
+"""Inputs of engines that strategies hardly draw.
+
+Motion of -0, stencils beyond 8 and 16 bits, surplus motions, lost values, colours of either sign, normals along axes.
+"""
 
 from __future__ import annotations
 
@@ -22,6 +25,8 @@ STENCILS = 0.0, 1.0, 255.0, 256.0, 257.0, 2048.0, 2049.0, 65536.0
 """Numbers of objects: 256 is 0 in 8 bits, 65536 in 16; half precision holds no 2049."""
 NOT_FINITE = 0.05
 """The share of pixels whose motion is not finite."""
+AXES = np.concatenate([np.eye(3), -np.eye(3)])
+"""Normals of walls and floors."""
 MORE_MOTIONS = 3
 """Motions behind those that the steps need."""
 
@@ -68,14 +73,15 @@ def _occlusion_warp(rng: Generator) -> Inputs:
 
 
 def _reshade(rng: Generator) -> Inputs:
-    """Motion of -0, lost motion, and numbers of objects that 8 or 16 bits confuse; all lies at one place."""
+    """Motion of -0, lost motion, numbers of objects that 8 or 16 bits confuse, colours of either sign, and walls, all at one place."""
     previous, now = _stencils(rng, SIZE)
-    color, warped = rng.random((2, *SIZE, 3))
-    up, none = np.broadcast_to([0.0, 0.0, 1.0], (*SIZE, 3)), np.zeros((*SIZE, 3))
+    color, warped = rng.uniform(-0.5, 1, (2, *SIZE, 3))
+    normal_previous, normal = (AXES[numbers.astype(int) % len(AXES)] for numbers in (previous, now))
+    none = np.zeros((*SIZE, 3))
     return {
         "color": color, "warped": warped, "motion": _motion(rng, SIZE), "valid": (rng.random(SIZE) < 0.5).astype(np.uint8),
-        "stencil_previous": previous, "stencil": now, "normal_previous": up, "normal": up, "position_previous": none,
-        "position": none, "base_color": rng.random((*SIZE, 3)),
+        "stencil_previous": previous, "stencil": now, "normal_previous": normal_previous, "normal": normal,
+        "position_previous": none, "position": none, "base_color": rng.random((*SIZE, 3)),
     }  # fmt: skip
 
 

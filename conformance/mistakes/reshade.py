@@ -72,6 +72,22 @@ def _samples_no_sources(copy: Copy) -> None:
     wrap("reshade.like_sums", like_sums)(copy)
 
 
+def _clamped_late(copy: Copy) -> None:
+    """Colours below 0 of samples count in their sum, which is at least 0."""
+    colors: list[Any] = []
+
+    def whole(right: Change, color: Any, **others: Any) -> Any:
+        colors[:] = [color]
+        return right(color, **others)
+
+    def own_samples(right: Change, _: Any, *others: Any) -> Any:
+        sums, counts = right(colors[0], *others)
+        return np.maximum(sums, 0), counts
+
+    wrap("reshade.reshade", whole)(copy)
+    wrap("reshade.own_samples", own_samples)(copy)
+
+
 def _valid_of(function: Change, arguments: Any, keywords: Any) -> Any:
     return signature(function).bind(*arguments, **keywords).arguments["valid"]
 
@@ -137,6 +153,12 @@ RESHADE = (
         "a background is a surface like others",
         put("reshade.is_background", lambda normal: np.zeros(normal.shape[:-1], bool)),
     ),
+    _reshade(
+        "background_by_z",
+        "a background is where z of the normal is 0",
+        put("reshade.is_background", lambda normal: np.asarray(normal[..., 2] == 0)),
+    ),
+    _reshade("clamped_late", "the sum of samples, not each of them, is at least 0", _clamped_late),
     _reshade("leaning_samples", "static samples of any normal", put("reshade.STATIC_COSINE", -2.0)),
     _reshade("cosine_for_all", "the cosine of moving objects for static ones, too", put("reshade.STATIC_COSINE", 0.9)),
     _reshade("tile_halo", "windows end at tiles of 8 x 8", wrap("reshade.like_sums", _within_tile)),
