@@ -134,7 +134,10 @@ def network_case(stage: str, size: Size, rng: Generator) -> tuple[Inputs, Weight
     )
     inputs: Inputs = {name: rng.random(shapes[name], np.float32) for name in names[stage]}
     if stage in ("encoder", "erm", "network"):
-        inputs["mask"] = (rng.random(size) < 0.8).astype(np.float64)
+        # Holes of whole blocks, too: of single ones hardly any is 0 at 1/8 size.
+        blocks = rng.random((-(-height // 8), -(-width // 8))) < 0.8
+        mask = blocks.repeat(8, axis=0).repeat(8, axis=1)[:height, :width] & (rng.random(size) < 0.8)
+        inputs["mask"] = mask.astype(np.float64)
     return inputs, make_weights("random", 0)
 
 

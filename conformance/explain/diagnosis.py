@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from conformance.answers.expected import Expected
 from conformance.cases.engine_inputs import ENGINE_STAGES, engine_inputs
+from conformance.cases.every_buffer import frame_cases
 from conformance.cases.large_inputs import large_inputs, network_case
 from conformance.judging.findings import DepartureError, Finding
 from conformance.judging.judge import Judge
@@ -83,7 +84,7 @@ def diagnose(judge: Judge, findings: Iterable[Finding]) -> str:
             others = _others(judge, stage) if others is None else others
             if all(_distance(mistake, each) < np.inf for each in [*failures[1:], *others]):
                 matches.append((distance, mistake))
-    return _describe(matches, count)
+    return _describe(matches, count, stage)
 
 
 def _others(judge: Judge, stage: str) -> list[_Answer]:
@@ -103,9 +104,9 @@ def _others(judge: Judge, stage: str) -> list[_Answer]:
 
 
 def _telling_cases(stage: str) -> Sequence[Callable[[np.random.Generator], Any]]:
-    """The values of engines; for stages of the network random ones in several windows of its layers; for rrm a large frame."""
+    """The values of engines, and frames of any steps; for stages of the network random ones in several windows; for rrm a large frame."""
     if stage in ENGINE_STAGES:
-        return engine_inputs(stage)
+        return (*engine_inputs(stage), *(frame_cases() if stage == "frame" else ()))
     if STAGES[stage].weights:
         return (partial(network_case, stage, TELLING_SIZE.get(stage, (40, 56))),)
     return large_inputs(stage, 1)
@@ -176,11 +177,20 @@ def _distance(mistake: Mistake, answered: _Answer) -> float:
     return max(distances)
 
 
-def _describe(matches: list[tuple[float, Mistake]], count: int) -> str:
+def _describe(matches: list[tuple[float, Mistake]], count: int, stage: str) -> str:
     if not count:
         return "no mistake of this stage is known to compare with"
     if not matches:
         return f"looks like none of the {count} mistakes that were compared"
     matches.sort(key=lambda each: each[0])
     near = [mistake for distance, mistake in matches if distance <= AS_NEAR * matches[0][0]]
-    return "looks like: " + "; or ".join(mistake.what for mistake in near[:MOST_NAMED])
+    words: dict[str, str] = {}
+    for mistake in near:  # the same one may be known of two stages, and the stage's own come first
+        words.setdefault(mistake.what, _words(mistake, stage))
+    return "looks like: " + "; or ".join([*words.values()][:MOST_NAMED])
+
+
+def _words(mistake: Mistake, stage: str) -> str:
+    """The mistake, and where it is if that is another stage."""
+    here = mistake in RARE or stage in (mistake.stage, *mistake.also)
+    return mistake.what if here else f"{mistake.what}, in stage {mistake.stage}"

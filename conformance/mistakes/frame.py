@@ -182,7 +182,7 @@ FRAME = (
             "frame.prepare", inputs=lambda inputs: replace(inputs, steps=(1, 3, 5)) if len(inputs.motions) > 4 else inputs
         ),
     ),
-    _motions("motions_oldest_first", "motions taken as oldest first", lambda motions, steps: motions[: max(steps)][::-1]),
+    _motions("motions_oldest_first", "takes the motions as oldest first", lambda motions, steps: motions[: max(steps)][::-1]),
     _motions(
         "last_motions", "takes the last motions, of more than the steps need", lambda motions, steps: motions[-max(steps) :]
     ),
@@ -196,13 +196,11 @@ FRAME = (
         "a position that is not finite counts as 0",
         change_arguments("frame.holes", position_previous=_or_0),
     ),
-    _frame(
-        "nearest_chain", "the chain by the nearest pixel", change_arguments("frame.motion_by_step", gather=lambda _: "nearest")
-    ),
+    _frame("nearest_chain", "the nearest pixel's motion", change_arguments("frame.motion_by_step", gather=lambda _: "nearest")),
     _frame(
         "hole_test_ignored", "always the footprint's hole test", change_arguments("frame.prepare", test=lambda _: "footprint")
     ),
-    _order("stencil_of_now", "the current stencils for the earlier ones", "stencils", 0, 0, 0, 0),
+    _order("stencil_of_now", "the current stencil in the place of the earlier one", "stencils", 0, 0, 0, 0),
     _order("normal_one_off", "normals of the next newer frame", "normals", 0, 0, 1, 2),
     _order("normal_of_newest", "the newest colour's normals throughout", "normals", 0, 1, 1, 1),
     _order("position_one_off", "positions of the next newer frame", "positions", 0, 0, 1, 2),

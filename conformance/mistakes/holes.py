@@ -101,7 +101,7 @@ HOLES = (
     _takes("stencil_here", "the current stencil in the place of the earlier one", stencil_previous=lambda _, stencil: stencil),
     _takes("normal_here", "the current normal in the place of the earlier one", normal_previous=lambda _, normal: normal),
     _takes("half_position", "positions in half precision", position=half, position_previous=half),
-    _takes("paper_forgotten", "never the paper's test", test=lambda _: "footprint"),
+    _takes("paper_forgotten", "always the footprint's hole test", test=lambda _: "footprint"),
     _takes("paper_always", "always the paper's test", test=lambda _: "paper"),
     _takes("nov_clamped", "max(NoV, 0) for |NoV|", nov=lambda nov: np.maximum(nov, 0)),
     _takes("depth_reversed", "1 - depth for depth", depth=lambda depth: 1 - depth),

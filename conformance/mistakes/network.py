@@ -57,7 +57,7 @@ def _with_mask(change: Callable[[Any, Any], tuple[Any, Any]]) -> Change:
 
 
 HISTORY = (
-    _history("newest_first", "newest first", lambda history: history[::-1]),
+    _history("newest_first", "history newest first", lambda history: history[::-1]),
     _history("middle_first", "middle before oldest", lambda history: history[[1, 0, 2]]),
     _history("newest_only", "the newest frame three times", lambda history: history[[2, 2, 2]]),
     _history("mask_applied", "colours times the mask", _with_mask(lambda color, mask: (color * mask, mask))),

@@ -19,8 +19,9 @@ from conformance.report.failures import keep_failure
 from conformance.suite.properties import find_property
 from conformance.suite.run_suite import run_suite
 from stss.port import ReferencePort
+from tests.meta import run_names
 from tests.meta.samples import samples
-from tests.tiers import every
+from tests.tiers import every, thorough
 
 
 def explain(port, stage):
@@ -66,7 +67,22 @@ def test_a_mistake_that_is_not_in_the_list_has_no_name(monkeypatch, name):
 @pytest.mark.thorough
 def test_what_contains_a_stage_names_its_mistakes():
     mistake = find("history_newest_first")
-    assert mistake.what in explain(mistake.port(), "network")
+    assert f"{mistake.what}, in stage history" in explain(mistake.port(), "network")
+
+
+def test_a_mistake_that_two_stages_know_is_said_once():
+    """In the words of the stage that was judged."""
+    both = [(0.0, find(name)) for name in ("frame_motions_oldest_first", "motion_chain_oldest_first")]
+    assert diagnosis._describe(both, 2, "frame") == "looks like: takes the motions as oldest first"
+    assert diagnosis._describe(both[1:], 2, "frame") == "looks like: takes the motions as oldest first, in stage motion_chain"
+
+
+@pytest.mark.parametrize("name", [thorough("frame_missing_not_masked"), thorough("network_erm_unmasked")])
+def test_neighbours_are_told_apart(name):
+    """By frames of any steps, and by places of mask 0 at 1/8 size."""
+    mistake = find(name)
+    assert run_names.named(mistake)[0] == f"looks like: {mistake.what}"
+    assert "looks like none of the" in run_names.named(mistake, listed=False)[0]
 
 
 @pytest.mark.parametrize("what", ["input", "weights"])
