@@ -30,7 +30,7 @@ class Constant:
     """One number of the specification.
 
     Attributes:
-        name: the constant, as in the table of docs/conformance.md.
+        name: the constant, in words.
         value: as docs/stages.md has it.
         stage: the constant shows in this stage.
         make: makes a case of that stage from a seeded generator.

@@ -119,9 +119,3 @@ def test_the_table_is_complete():
         for node in ast.walk(ast.parse((ROOT / "stss_ref" / f"{stage}.py").read_text())):
             if isinstance(node, ast.Constant) and type(node.value) is float and node.value not in (0, 0.5):
                 assert node.value in values, (stage, node.value)
-
-
-def test_the_page_has_the_table():
-    page = (ROOT / "docs" / "conformance.md").read_text()
-    for constant in CONSTANTS:
-        assert f"| {constant.name} | {constant.value} | `{constant.stage}` |" in page
