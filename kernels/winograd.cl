@@ -14,10 +14,10 @@
 //  out          out  padded, (OUT_CHANNELS)      OUT channels of it, from layer.out_first on
 //
 // Build -D STRIDE (1 or 2) -D SIDE (4 or 2: pixels of an output tile's side; 2 at stride 2) -D A -D B -D OUT -D
-// OUT_CHANNELS (multiples of 8) -D USED (the inputs behind are zeros) -D TILES (per work-item) -D VECTOR (8 or 16
-// lanes; OUT fills VECTORS of them; at 16 TILES is even) -D TILES_HELD (at once in registers, divides TILES) -D
-// VECTORS_HELD (of outputs, likewise, divides VECTORS), optionally -D PAIRED (winograd_products.clh) -D GATED -D RELU
-// -D STORED -D PREFETCH (of the next strip).  winograd_image.cl is the same with the decoder's output behind it.
+// OUT_CHANNELS (multiples of 8) -D TILES (per work-item) -D VECTOR (8 or 16 lanes; OUT fills VECTORS of them; at 16
+// TILES is even) -D TILES_HELD (at once in registers, divides TILES) -D VECTORS_HELD (of outputs, likewise, divides
+// VECTORS), optionally -D PAIRED (winograd_products.clh) -D GATED -D RELU -D STORED -D PREFETCH (of the next strip).
+// winograd_image.cl is the same with the decoder's output behind it.
 // `tiles`, `count`: the tiles of the output, SIDE x SIDE pixels each, that are computed, see tile_list.clh.
 // Launch (any number of work-items), work-groups of 1: a work-item takes one strip of TILES after the other, so its
 // scratch stays in L2.
@@ -25,8 +25,8 @@
 // If MARKS(changes), the output's map, a value is compared with the stored one, and marked if bits differ
 // (change_map.clh).
 #if !defined(STRIDE) || !defined(SIDE) || !defined(A) || !defined(B) || !defined(OUT) || !defined(OUT_CHANNELS) || \
-    !defined(USED) || !defined(TILES) || !defined(TILES_HELD) || !defined(VECTORS_HELD) || !defined(VECTOR)
-#error "winograd.cl needs -D STRIDE, SIDE, A, B, OUT, OUT_CHANNELS, USED, TILES, TILES_HELD, VECTORS_HELD, VECTOR"
+    !defined(TILES) || !defined(TILES_HELD) || !defined(VECTORS_HELD) || !defined(VECTOR)
+#error "winograd.cl needs -D STRIDE, SIDE, A, B, OUT, OUT_CHANNELS, TILES, TILES_HELD, VECTORS_HELD, VECTOR"
 #endif
 #if (STRIDE != 1 || SIDE != 4) && ((STRIDE != 1 && STRIDE != 2) || SIDE != 2)
 #error "winograd.cl: SIDE is 4, or 2, or 2 at STRIDE 2"
@@ -50,7 +50,7 @@ kernel __attribute__((reqd_work_group_size(1, 1, 1))) void winograd(
     for (int first = part.x; first < part.y; first += TILES) {
         const TileStrip strip = {tiles + first, least(part.y - first, TILES)};
         const TileStrip next = next_strip(strip, count[0] - first);
-        multiply_strip(strip, next, a, b, layer.in_columns, weight, gate_weight, out, layer.out_columns, M, gates);
+        multiply_strip(strip, next, a, b, layer, weight, gate_weight, out, M, gates);
         open_gates(gates, gate_bias, open);
         for (int t = 0; t < strip.held; t += TILES_TOGETHER) {
 #pragma unroll

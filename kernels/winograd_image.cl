@@ -30,7 +30,7 @@ kernel __attribute__((reqd_work_group_size(1, 1, 1))) void winograd_image(
     for (int first = part.x; first < part.y; first += TILES) {
         const TileStrip strip = {tiles + first, least(part.y - first, TILES)};
         const TileStrip next = next_strip(strip, count[0] - first);
-        multiply_strip(strip, next, a, b, layer.in_columns, weight, gate_weight, 0, 0, M, gates);
+        multiply_strip(strip, next, a, b, layer, weight, gate_weight, 0, M, gates);
         open_gates(gates, gate_bias, open);
         for (int t = 0; t < strip.held; t += TILES_TOGETHER) {
 #pragma unroll

@@ -111,6 +111,7 @@ def conv(
         "out_columns": out.columns,
         "out_channels": out.channels,
         "out_first": out_first,
+        "used": packed.used,
         **_from_image_to_image(a, out, packed, shape),
     }
     maps = _maps(a, image or 0, b or final)
@@ -213,7 +214,6 @@ def _winograd(device: Device, packed: Packed, out: Padded, side: int, stride: in
         options={
             "STRIDE": stride,
             "SIDE": side,
-            "USED": packed.used,
             "TILES": row.tiles,
             "TILES_HELD": row.tiles_held,
             "VECTORS_HELD": row.vectors_held,
