@@ -222,8 +222,8 @@ def check(tensors: Weights | Mapping[str, NDArray[Any]]) -> Weights:
     if not isinstance(tensors, (Weights, Mapping)):  # pyright: ignore[reportUnnecessaryIsInstance]
         raise WeightsError(f"weights: expected {len(TENSORS)} tensors by name, got {type(tensors).__name__}")
     require_names(tensors)
-    checked = {name: _check_one(name, tensors[name]) for name in TENSORS}
-    return replace(tensors, tensors=checked) if isinstance(tensors, Weights) else Weights(checked)
+    arrays = {name: _check_one(name, tensors[name]) for name in TENSORS}
+    return replace(tensors, tensors=arrays) if isinstance(tensors, Weights) else Weights(arrays)
 
 
 def require_names(names: Collection[str]) -> None:

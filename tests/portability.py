@@ -81,13 +81,13 @@ def examine(library, tests):
         answer = run("-c", NAME, seconds=60)
         if answer.returncode:
             return (answer.stderr.strip().splitlines() or [""])[-1][:80], "no device", 0
-        tested = run("-m", "pytest", "-q", "--tb=line", "-p", "no:cacheprovider", *tests, seconds=LIMIT)
+        process = run("-m", "pytest", "-q", "--tb=line", "-p", "no:cacheprovider", *tests, seconds=LIMIT)
     except subprocess.TimeoutExpired:
         return "", f"hung: {LIMIT} s", int(time.monotonic() - start)
-    last = (tested.stdout.strip().splitlines() or [""])[-1]
-    if tested.returncode:
-        print(tested.stdout[-4000:], tested.stderr[-1000:])
-    result = f"crashed: signal {-tested.returncode}" if tested.returncode < 0 else re.sub(r" in .*|=", "", last).strip()
+    last = (process.stdout.strip().splitlines() or [""])[-1]
+    if process.returncode:
+        print(process.stdout[-4000:], process.stderr[-1000:])
+    result = f"crashed: signal {-process.returncode}" if process.returncode < 0 else re.sub(r" in .*|=", "", last).strip()
     return answer.stdout.strip(), result, int(time.monotonic() - start)
 
 

@@ -133,7 +133,7 @@ def _results(outcome: Outcome) -> list[TestResult]:
 
 def _write_page(path: Path, title: str, outcome: Outcome, results: list[TestResult], folder: Path | None) -> None:
     lines = "".join(f"<p>{html.escape(printable(line))}</p>" for line in lines_of(outcome))
-    failed = next((failure_of(each, folder) for each in results if each.outcome == "failed"), "")
+    failure = next((failure_of(each, folder) for each in results if each.outcome == "failed"), "")
     rows = "".join(map(row_of, results))
     table = table_of("Tensors", ("tensor", "operator", "outcome"), ("cases", "error / bound"), rows, stack=True)
-    write_named(path, page(title, f"<h1>{html.escape(printable(title))}</h1>{lines}{failed}{table}"))
+    write_named(path, page(title, f"<h1>{html.escape(printable(title))}</h1>{lines}{failure}{table}"))

@@ -39,7 +39,7 @@ class LocalWorkers:
     def start(self) -> Executor:
         """An executor of all workers that do not hang."""
         context = multiprocessing.get_context("spawn")  # a fork would copy the drivers' locks, but not the threads that hold them
-        return _Uninterrupted(self._count, context, _begin, (self._count,))
+        return _BlockedPool(self._count, context, _begin, (self._count,))
 
     def end(self, executor: Executor, *, hangs: bool) -> None:
         """Drop all tasks of the executor; its processes end, and the next executor starts others."""
@@ -49,7 +49,7 @@ class LocalWorkers:
         executor.shutdown(cancel_futures=True)
 
 
-class _Uninterrupted(ProcessPoolExecutor):
+class _BlockedPool(ProcessPoolExecutor):
     """Ctrl-C reaches all processes of a terminal. Workers start with the signal blocked: the writing process ends them."""
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:

@@ -66,8 +66,8 @@ class OpenCL:
             self.timings: Callable[[], dict[str, float]] = self._network.timings
         self._queue = device.queue
         self._on_device = on_device
-        timed = "on the device" if on_device else "with transfers"
-        self.details = {**versions(("pyopencl",)), "device": device.name, "precision": precision, "timed": timed}
+        scope = "on the device" if on_device else "with transfers"
+        self.details = {**versions(("pyopencl",)), "device": device.name, "precision": precision, "timed": scope}
         if device.is_cpu:
             self.details["threads"] = str(device.handle.max_compute_units)
 
@@ -90,7 +90,7 @@ class OpenCL:
         return image.get() if self._on_device else image
 
 
-class Streamed:
+class StreamContender:
     """``stss_cl.Stream`` on display frames, NumPy arrays, each uploaded once; SF and EF in turns, each computed whole.
 
     Args:
@@ -105,8 +105,8 @@ class Streamed:
         device = importlib.import_module("stss_cl.device.discovery").open_device(setup.device)
         self._stream: Any = importlib.import_module("stss_cl").Stream(setup.weights, device, skip="off")
         self._ahead, self._window = ahead, deque[Any](maxlen=WINDOW)
-        timed = f"with transfers, {'one frame ahead' if ahead else 'frames one by one'}"
-        self.details = {**versions(("pyopencl",)), "device": device.name, "precision": "float32", "timed": timed}
+        scope = f"with transfers, {'one frame ahead' if ahead else 'frames one by one'}"
+        self.details = {**versions(("pyopencl",)), "device": device.name, "precision": "float32", "timed": scope}
 
     def prepare(self, inputs: FrameInputs) -> None:
         """See `Contender`: the last frame of each run is that of ``inputs``."""
@@ -145,8 +145,8 @@ OURS: dict[str, Callable[[Setup], Contender]] = {
     "cl-bfloat16": partial(_NETWORK, precision="bfloat16"),
     "cl-host": partial(_NETWORK, precision="float32", on_device=False),
     "cl-frame": partial(OpenCL, module="frame", name="Frame", precision="float32", on_device=True),
-    "cl-stream": partial(Streamed, ahead=False),
-    "cl-stream-ahead": partial(Streamed, ahead=True),
+    "cl-stream": partial(StreamContender, ahead=False),
+    "cl-stream-ahead": partial(StreamContender, ahead=True),
     "ref": Reference,
 }
 """Our contenders, by the name that ``--ours`` takes; ``cl-host`` is ``cl`` with the transfers from and to NumPy arrays."""

@@ -185,8 +185,8 @@ def measure(setup: Setup, scene: str, settings: Sequence[ComputeOptions], count:
     """A point for every setting on a scene of ``count`` display frames."""
     size, device = (setup.height, setup.width), open_device(setup.device)
     frames = list(display_frames(SCENES[scene], size, count))
-    judged = {n: (_reference(frames, n, setup.weights), truth(SCENES[scene], size, n)) for n in range(count - JUDGED, count)}
-    return [compare_setting(setting, setup.weights, device, frames, judged) for setting in settings]
+    truths = {n: (_reference(frames, n, setup.weights), truth(SCENES[scene], size, n)) for n in range(count - JUDGED, count)}
+    return [compare_setting(setting, setup.weights, device, frames, truths) for setting in settings]
 
 
 def window_and_steps(frames: Sequence[DisplayFrame], number: int) -> tuple[Sequence[DisplayFrame], tuple[int, int, int]]:
@@ -209,12 +209,12 @@ def compare_setting(
     weights: Weights,
     device: Device,
     frames: Sequence[DisplayFrame],
-    judged: dict[int, tuple[Image, Image]],
+    truths: dict[int, tuple[Image, Image]],
 ) -> Point:
-    """Run a setting in turns with the streams for comparison; ``judged``: number -> the reference's image, and the scene's."""
-    tried = Stream(weights, device, setting.precision, skip=setting.skip)
+    """Run a setting in turns with the streams for comparison; ``truths``: number -> the reference's image, and the scene's."""
+    candidate = Stream(weights, device, setting.precision, skip=setting.skip)
     off = Stream(weights, device, setting.precision, skip="off")
-    streams = [tried, off] if setting.precision == FULL else [tried, off, Stream(weights, device, FULL, skip="off")]
+    streams = [candidate, off] if setting.precision == FULL else [candidate, off, Stream(weights, device, FULL, skip="off")]
     times = [list[float]() for _ in streams]
     errors, scores, departures, same = [0.0], list[float](), [0.0], True
     for number in range(len(frames)):
@@ -227,8 +227,8 @@ def compare_setting(
         if number >= WARM:
             same = same and np.array_equal(images[0].view(np.uint32), images[-1].view(np.uint32))
             departures.append(0.0 if same else float(np.abs(images[0] - images[-1]).max()))
-        if number in judged:
-            exact, scene = judged[number]
+        if number in truths:
+            exact, scene = truths[number]
             errors.append(float(np.abs(images[0] - exact).max()))
             scores.append(psnr(255 * np.clip(images[0], 0, 1), 255 * np.clip(scene, 0, 1)) or 0.0)
         images.clear()  # the backend copies an image that the caller holds, and overwrites any other

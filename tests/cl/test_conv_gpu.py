@@ -175,8 +175,8 @@ def test_tiles_of_a_list(device, processor, monkeypatch, layer, by_option, name,
     tall, wide = (pixels // case.stride for pixels in tiling.step)
     tiles = np.array([(y, x) for y in range(tiling.rows) for x in range(tiling.columns)])[1::2]
     numbers = constant(device, (tiles[:, 0] << 16 | tiles[:, 1]).astype(np.uint32))
-    listed = TileList(numbers, constant(device, np.array([len(tiles)], np.int32)))
-    some = replace(launch.over(device, listed), size=(launch.group[0], *launch.size[1:]))
+    tile_list = TileList(numbers, constant(device, np.array([len(tiles)], np.int32)))
+    some = replace(launch.over(device, tile_list), size=(launch.group[0], *launch.size[1:]))
     inside = np.zeros(case.size, bool)
     for y, x in tiles:
         inside[tall * y : tall * (y + 1), wide * x : wide * (x + 1)] = True

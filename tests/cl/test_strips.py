@@ -91,11 +91,11 @@ def test_the_limit_counts_what_is_allocated(device, monkeypatch, precision, size
     for call in calls_of(frames):
         stream(*call)
         gc.collect()
-        allocated = sum(buffer.size for buffer in (ref() for ref in ends) if buffer is not None and not buffer.frame)
-        counted = (2 if skip == "exact" else 1) * bytes_for(size[0], *size, dtype_of(precision), keep=skip == "exact")
-        assert allocated <= counted
+        byte_sum = sum(buffer.size for buffer in (ref() for ref in ends) if buffer is not None and not buffer.frame)
+        byte_count = (2 if skip == "exact" else 1) * bytes_for(size[0], *size, dtype_of(precision), keep=skip == "exact")
+        assert byte_sum <= byte_count
     slack = 2 * (2 * 8 << 20)
-    assert allocated >= 0.7 * counted - slack
+    assert byte_sum >= 0.7 * byte_count - slack
 
 
 @pytest.mark.parametrize("precision", [precision for precision in OFTEN if precision != "bfloat16"])

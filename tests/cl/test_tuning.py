@@ -106,9 +106,9 @@ def test_a_wrong_row_is_named(old, new, message):
     text = path.read_text()
     assert old in text
     path.write_text(text.replace(old, new, 1))
-    with pytest.raises(DeviceError, match=f"tuning {path}: {message}") as raised:
+    with pytest.raises(DeviceError, match=f"tuning {path}: {message}") as error:
         tuning_for(fake())
-    assert "\n" not in str(raised.value)
+    assert "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize("is_cpu", [True, False])

@@ -38,8 +38,8 @@ def call(*arguments, seconds=60):
         signal.alarm(0)
         sys.argv = argv
     out.flush(), err.flush()
-    printed = (stream.buffer.getvalue().decode() for stream in (out, err))
-    return subprocess.CompletedProcess(arguments, status, *printed)
+    texts = (stream.buffer.getvalue().decode() for stream in (out, err))
+    return subprocess.CompletedProcess(arguments, status, *texts)
 
 
 class HangError(BaseException):

@@ -34,7 +34,7 @@ FRAMES = 4
 
 
 @pytest.fixture(scope="module")
-def finished(demo, tmp_path_factory):
+def finished_run(demo, tmp_path_factory):
     """The output of a run of these frames."""
     out = tmp_path_factory.mktemp("finished") / "out"
     assert call("run", demo / "frames", "-o", out, *PLAIN).returncode == 0
@@ -42,9 +42,9 @@ def finished(demo, tmp_path_factory):
 
 
 @pytest.fixture
-def out(finished, tmp_path):
+def out(finished_run, tmp_path):
     """A copy of it, that a test may change."""
-    return shutil.copytree(finished, tmp_path / "out")
+    return shutil.copytree(finished_run, tmp_path / "out")
 
 
 @pytest.fixture
@@ -244,11 +244,11 @@ def test_overwrite_removes_nothing_before_the_new_frames_are_there(out, demo, tm
     assert {name for name in before if before[name] != after[name]} == {"frame.0000.exr", "frame.0001.exr", SUMS}
 
 
-def test_overwrite_removes_what_is_left_of_the_earlier_run_at_its_end(finished, out, demo):
+def test_overwrite_removes_what_is_left_of_the_earlier_run_at_its_end(finished_run, out, demo):
     (out / "notes.txt").write_text("mine")
     assert call("run", demo / "frames", "-o", out, "--overwrite", "--frames", "2:2", *PLAIN).returncode == 0
     assert sorted(contents(out)) == ["frame.0002.exr", "notes.txt", SUMS]
-    assert contents(out)["frame.0002.exr"] == contents(finished)["frame.0002.exr"]
+    assert contents(out)["frame.0002.exr"] == contents(finished_run)["frame.0002.exr"]
 
 
 DAMAGE = {
@@ -261,16 +261,16 @@ DAMAGE = {
 
 @pytest.mark.parametrize("damage", DAMAGE)
 @pytest.mark.parametrize("name", ["frame.0000.exr", "holes/frame.0001.png"])
-def test_resume_keeps_only_what_is_as_it_was_written(finished, out, demo, name, damage):
-    damaged = DAMAGE[damage]((out / name).read_bytes(), (out / "frame.0002.exr").read_bytes())
-    (out / name).write_bytes(damaged)
+def test_resume_keeps_only_what_is_as_it_was_written(finished_run, out, demo, name, damage):
+    data = DAMAGE[damage]((out / name).read_bytes(), (out / "frame.0002.exr").read_bytes())
+    (out / name).write_bytes(data)
     assert count_kept(demo, out) == FRAMES - 1
-    assert contents(out) == contents(finished) | {f"{name}.1.aside": damaged}
+    assert contents(out) == contents(finished_run) | {f"{name}.1.aside": data}
     assert count_kept(demo, out) == FRAMES
 
 
 @pytest.mark.parametrize("option", ["--overwrite", "--resume"])
-def test_a_file_of_others_under_a_listed_name_is_moved_aside(finished, out, demo, option):
+def test_a_file_of_others_under_a_listed_name_is_moved_aside(finished_run, out, demo, option):
     """Its checksum says that it is not what the run wrote; with --overwrite one of them would be replaced and one removed."""
     for name in ("frame.0002.exr", "frame.0003.exr"):
         (out / name).write_bytes(b"mine")
@@ -284,7 +284,7 @@ def test_a_file_of_others_under_a_listed_name_is_moved_aside(finished, out, demo
     files_now = contents(out)
     asides = [files_now[f"frame.{name}.aside"] for name in ("0002.exr.1", "0003.exr.2", "0003.exr.1")]
     assert asides == [b"mine", b"mine", b"mine of old"]
-    assert files_now["frame.0002.exr"] == contents(finished)["frame.0002.exr"]
+    assert files_now["frame.0002.exr"] == contents(finished_run)["frame.0002.exr"]
     assert ("frame.0003.exr" in files_now) == (option == "--resume")
 
 
@@ -309,7 +309,7 @@ def count_kept(demo, out, **more):
     return run(sequence, out, open_backend("ref", weights), weights.label, RunOptions(resume=True), **more).count("kept")
 
 
-def test_a_run_that_is_killed_can_be_resumed(finished, demo, tmp_path):
+def test_a_run_that_is_killed_can_be_resumed(finished_run, demo, tmp_path):
     """Killed as the third frame is to be renamed into place: its checksum is known, the file is not there."""
     out = tmp_path / "out"
     code = (
@@ -325,10 +325,10 @@ def test_a_run_that_is_killed_can_be_resumed(finished, demo, tmp_path):
     assert len(parts) == 1
     assert (out / LOCK).exists()
     assert count_kept(demo, out) == 2
-    assert contents(out) == contents(finished)
+    assert contents(out) == contents(finished_run)
 
 
-def test_a_list_and_a_frame_of_any_length_take_no_memory(finished, out, demo, tmp_path):
+def test_a_list_and_a_frame_of_any_length_take_no_memory(finished_run, out, demo, tmp_path):
     """Both of 512 MiB that take no place on the disk: the list is refused, the frame is another one."""
     os.truncate(out / "frame.0002.exr", 1 << 29)
     tracemalloc.start()
@@ -354,20 +354,20 @@ LINES = {  # what comes to the end of the list -> how many frames are kept
 
 
 @pytest.mark.parametrize("line", LINES)
-def test_a_damaged_list_harms_nothing(finished, demo, tmp_path, line):
+def test_a_damaged_list_harms_nothing(finished_run, demo, tmp_path, line):
     out, secret = tmp_path / "a" / "b" / "out", tmp_path / "a" / "secret"
-    shutil.copytree(finished, out)
+    shutil.copytree(finished_run, out)
     secret.write_text("mine")
     with (out / SUMS).open("a", encoding="latin-1") as file:
         file.write(line)
     assert count_kept(demo, out) == LINES[line]
-    assert contents(out) == contents(finished)
+    assert contents(out) == contents(finished_run)
     assert secret.exists()
 
 
 @pytest.mark.parametrize("suffix", ["exr", "png"])
 @pytest.mark.parametrize("size", [0, 1000])
-def test_a_file_that_does_not_fit_is_no_file(finished, demo, tmp_path, suffix, size):
+def test_a_file_that_does_not_fit_is_no_file(finished_run, demo, tmp_path, suffix, size):
     """If the system refuses a write, the run fails, and no incomplete file remains.
 
     No file of the process may grow beyond ``size`` bytes, as on a full disk: one of its own, since others' threads may write, too.
@@ -387,17 +387,17 @@ def readable():
 
 
 @pytest.mark.parametrize("option", ["--overwrite", "--resume"])
-def test_a_folder_of_somebody_else_is_told(finished, demo, readable, option):
+def test_a_folder_of_somebody_else_is_told(finished_run, demo, readable, option):
     """The user may read everything and write nothing."""
     out, frames = readable / "out", readable / "frames"
-    shutil.copytree(finished, out)
+    shutil.copytree(finished_run, out)
     shutil.copytree(demo / "frames", frames)
     for path in readable.rglob("*"):
         path.chmod(0o555 if path.is_dir() else 0o444)
     with unprivileged():
         result = call("run", frames, "-o", out, option, *PLAIN)
     refused(result, out, "Permission denied")
-    assert contents(out) == contents(finished)
+    assert contents(out) == contents(finished_run)
     for path in (out, out / "holes", frames):
         path.chmod(0o755)
 
@@ -428,13 +428,13 @@ def test_a_named_file_that_is_a_folder(tmp_path, arguments):
     assert not list(tmp_path.iterdir())
 
 
-def test_the_second_run_says_who_has_the_folder(demo, finished, tmp_path):
+def test_the_second_run_says_who_has_the_folder(demo, finished_run, tmp_path):
     """It ends with status 2, and the first one never knows: its temporary files are left alone."""
     out = tmp_path / "out"
     folder = OutputFolder(out, ("", "holes"), r"frame\.\d+\.(exr|png)")
     with folder.open(refusal=None):
-        unfinished = out / f".stss-{'0' * 12}.part"
-        unfinished.write_bytes(b"being written")
+        part = out / f".stss-{'0' * 12}.part"
+        part.write_bytes(b"being written")
         before = contents(out)
         for option in ("--resume", "--overwrite"):
             refused(call("run", demo / "frames", "-o", out, option, *PLAIN), out, f"process {os.getpid()} on ", "writes there")

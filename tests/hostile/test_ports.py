@@ -352,7 +352,7 @@ def agrees(judge, stage, inputs):
     judge.check(agreement, Case(stage, inputs, weights_of(stage)))
 
 
-class Planted(ReferencePort):
+class PlantedPort(ReferencePort):
     """The reference, but for what ``change`` does to its outputs."""
 
     def __init__(self, change, dtype="float32"):
@@ -376,15 +376,15 @@ def test_one_wrong_number_fails(stage, output):
             array = outputs[output]
             places = np.argwhere(np.isfinite(array).all(axis=-1, keepdims=True) | np.zeros(array.shape, bool))
             if len(places):
-                planted.append(tuple(places[data.draw(st.integers(0, len(places) - 1))]))
-                array[planted[-1]] = 1 - array[planted[-1]] if is_mask else data.draw(st.sampled_from([np.nan, np.inf, -np.inf]))
+                plants.append(tuple(places[data.draw(st.integers(0, len(places) - 1))]))
+                array[plants[-1]] = 1 - array[plants[-1]] if is_mask else data.draw(st.sampled_from([np.nan, np.inf, -np.inf]))
 
-        planted, names_seen, judge = [], "", Judge(Planted(plant))
+        plants, names_seen, judge = [], "", Judge(PlantedPort(plant))
         try:
             agrees(judge, stage, inputs)
         except DepartureError as error:
             names_seen = str(error)
-        assert bool(planted) == (f"{stage}.{output}: " in names_seen) or (is_mask and judge.record.undecided)
+        assert bool(plants) == (f"{stage}.{output}: " in names_seen) or (is_mask and judge.record.undecided)
 
     one()
 
@@ -397,7 +397,7 @@ def test_an_answer_that_is_not_judged_is_a_number_all_the_same(monkeypatch, numb
     agrees(judge, "frame", inputs)
     assert (judge.record.unjudged, judge.record.worst) == (1, {})
     with pytest.raises(DepartureError, match=r"frame.image: wrong at \[3, 4, 1\]"):
-        agrees(Judge(Planted(lambda outputs: outputs["image"].__setitem__((3, 4, 1), number))), "frame", inputs)
+        agrees(Judge(PlantedPort(lambda outputs: outputs["image"].__setitem__((3, 4, 1), number))), "frame", inputs)
 
 
 @pytest.mark.parametrize("stage", STAGES)
@@ -412,7 +412,7 @@ def test_zeros_of_either_sign_and_lost_small_numbers_pass(stage):
     @settings(max_examples=3 if STAGES[stage].weights else 15, database=None)
     @given(STRATEGIES[stage])
     def one(inputs):
-        agrees(Judge(Planted(change)), stage, inputs)
+        agrees(Judge(PlantedPort(change)), stage, inputs)
 
     one()
 
@@ -498,7 +498,7 @@ def test_a_replay_is_judged_or_says_so(tmp_path):
     folder = tmp_path / "kept"
     write_job(folder, [Case("warp", {name: array + 0.5 for name, array in smallest_case("warp").inputs.items()})])
     assert replay(ReferencePort(), folder).worst == {"warp.warped": 0, "warp.inside": 0}
-    wrong = Planted(lambda outputs: outputs["warped"].fill(np.nan))
+    wrong = PlantedPort(lambda outputs: outputs["warped"].fill(np.nan))
     assert "warp.warped: error / bound inf" in replay(wrong, folder).failure.finding.message
     (folder / "property").mkdir()
     for drawn_text in ("", '{"test": 3, "drawn": 1}', '{"test": "warp.agrees_with_the_reference", "drawn": {"array": "../x"}}',

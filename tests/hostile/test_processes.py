@@ -55,10 +55,10 @@ def test_what_a_system_refuses_is_one_line(monkeypatch, capsys, error):
     monkeypatch.setattr(sys, "argv", ["stss"])
     monkeypatch.setattr(os, "dup2", lambda *_: None)
     monkeypatch.setattr(sys.stdout, "fileno", lambda: 1, raising=False)
-    with pytest.raises(SystemExit) as ended:
+    with pytest.raises(SystemExit) as exit_error:
         run_guarded(command)
     text = capsys.readouterr().err
-    assert ended.value.code == 2
+    assert exit_error.value.code == 2
     assert text in ("stss: out of memory: the system gives this process no more\n", "stss: Input/output error\n")
 
 

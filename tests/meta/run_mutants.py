@@ -87,9 +87,9 @@ def seconds_by_generator():
     return seconds_of
 
 
-def table(found, seconds_of):
+def table(tests_of, seconds_of):
     """Markdown: a row for each generator. ``found``: the tests by mutant."""
-    by = {name: {generator(test) for test in tests} for name, tests in found.items()}
+    by = {name: {generator(test) for test in tests} for name, tests in tests_of.items()}
     rows = ["| cases | find | find alone | alone, for example | seconds |", "|---|---|---|---|---|"]
     for word in ORDER:
         finds = [name for name, words in by.items() if word in words]
@@ -106,20 +106,20 @@ def main():
     parser.add_argument("--seed", type=int, default=0, help="other cases than a user's default ones")
     parser.add_argument("--found", type=Path, help="JSON file of what was found so far")
     options = parser.parse_args()
-    found = json.loads(options.found.read_text()) if options.found is not None and options.found.exists() else {}
+    tests_of = json.loads(options.found.read_text()) if options.found is not None and options.found.exists() else {}
     mutants = [mutant.id for mutant in MISTAKES if not options.stages or mutant.stage in options.stages]
-    names = [name for name in mutants if name not in found]
+    names = [name for name in mutants if name not in tests_of]
     start = perf_counter()
     with ProcessPoolExecutor() as pool:
         for name, (by, seconds) in zip(names, pool.map(killers, names, repeat(options.seed), chunksize=2), strict=True):
-            found[name] = by
+            tests_of[name] = by
             print(f"{name:42s} {seconds:5.1f} s  {', '.join(by) or 'SURVIVES'}", flush=True)
             if options.found is not None:
-                options.found.write_text(json.dumps(found, indent=0))
-    survivors = [name for name in mutants if not found[name]]
+                options.found.write_text(json.dumps(tests_of, indent=0))
+    survivors = [name for name in mutants if not tests_of[name]]
     print(f"{len(mutants) - len(survivors)} of {len(mutants)} found out, {perf_counter() - start:.0f} s")
-    if not options.seed and not survivors and len(found) == len(MISTAKES):
-        write_between(PAGE, MARK, table(found, seconds_by_generator()))
+    if not options.seed and not survivors and len(tests_of) == len(MISTAKES):
+        write_between(PAGE, MARK, table(tests_of, seconds_by_generator()))
     sys.exit(1 if survivors or not mutants else 0)
 
 

@@ -156,7 +156,7 @@ class Faults:
     """In place of running the tests once, run them for each fault."""
 
     def __init__(self, modules):
-        self.modules, self.found = modules, {}
+        self.modules, self.catches = modules, {}
 
     def pytest_collection(self):
         """A failure need not be made small, and the cases are the same each time."""
@@ -168,13 +168,13 @@ class Faults:
 
     def pytest_runtestloop(self, session):
         """First without a fault, to know what each test calls and how long it takes: the quick ones are the first then."""
-        seconds, self.called = {}, {}
+        seconds, self.calls = {}, {}
         for item in session.items:
-            start, called = process_time(), self.called.setdefault(item, set())
-            sys.setprofile(lambda frame, *_, called=called: called.add(frame.f_code))
+            start, calls = process_time(), self.calls.setdefault(item, set())
+            sys.setprofile(lambda frame, *_, calls=calls: calls.add(frame.f_code))
             assert passes(item), f"{item.nodeid} fails without a fault"
             sys.setprofile(None)
-            called &= {code for code in called if Path(code.co_filename).parent == ROOT / "stss_ref"}
+            calls &= {code for code in calls if Path(code.co_filename).parent == ROOT / "stss_ref"}
             seconds[item] = process_time() - start
         self.items = sorted(session.items, key=seconds.get)
         waiting = [(module, *fault) for module in reversed(self.modules) for fault in faults(module)]
@@ -185,7 +185,7 @@ class Faults:
                 running[self.begin(module, source, self.concerned(module, function))] = name
             pid, status = os.wait()
             name = running.pop(pid)
-            self.found[name] = status != 0
+            self.catches[name] = status != 0
             if not status and name.rpartition(",")[0] not in SAME:
                 print(f"{name}  SURVIVES", flush=True)
         return True
@@ -195,7 +195,7 @@ class Faults:
         return [
             item
             for item in self.items
-            if any(Path(c.co_filename).stem == module and function in (None, c.co_name) for c in self.called[item])
+            if any(Path(c.co_filename).stem == module and function in (None, c.co_name) for c in self.calls[item])
         ] or self.items
 
     def begin(self, module, source, items):
@@ -222,12 +222,15 @@ def main():
     start, faulty = perf_counter(), Faults(sys.argv[1:] or MODULES)
     options = ["-q", "-p", "no:cacheprovider", "-s", "tests/ref", "--ignore", "tests/ref/test_reference_data.py"]
     pytest.main(options, plugins=[faulty])
-    survivors = [name for name, is_caught in faulty.found.items() if not is_caught]
+    survivors = [name for name, is_caught in faulty.catches.items() if not is_caught]
     same = [name for name in survivors if name.rpartition(",")[0] in SAME]
-    planted = len(faulty.found) - len(same)
-    print(f"{planted + len(same) - len(survivors)} of {planted} found by tests/ref, {perf_counter() - start:.0f} s;", end=" ")
+    fault_count = len(faulty.catches) - len(same)
+    print(
+        f"{fault_count + len(same) - len(survivors)} of {fault_count} found by tests/ref, {perf_counter() - start:.0f} s;",
+        end=" ",
+    )
     print(f"{len(same)} others change nothing")
-    sys.exit(1 if len(survivors) > len(same) or not faulty.found else 0)
+    sys.exit(1 if len(survivors) > len(same) or not faulty.catches else 0)
 
 
 if __name__ == "__main__":

@@ -208,27 +208,27 @@ def write_known(here, names, until="2999-01-01"):
 @pytest.mark.thorough
 def test_known_failures(here):
     run("--port", "wrong_port:Inverted", "--stages", "rrm", "--json", "found.json")
-    failed = [test["id"] for test in json.loads((here / "found.json").read_text())["tests"] if test["outcome"] == "failed"]
-    assert len(failed) > 1
-    write_known(here, [*failed, "holes.agrees_with_the_reference"])  # the last stage is not judged, and does not count
+    failures = [test["id"] for test in json.loads((here / "found.json").read_text())["tests"] if test["outcome"] == "failed"]
+    assert len(failures) > 1
+    write_known(here, [*failures, "holes.agrees_with_the_reference"])  # the last stage is not judged, and does not count
     outcome = run(
         "--port", "wrong_port:Inverted", "--stages", "rrm", "--known-failures", "known", "--junit", "junit.xml", "--fail-fast"
     )
     assert outcome.exit_code == 0, outcome.output
     counts = ElementTree.parse(here / "junit.xml").getroot()[0]
-    assert (counts.get("failures"), counts.get("errors"), counts.get("skipped")) == ("0", "0", str(len(failed)))
+    assert (counts.get("failures"), counts.get("errors"), counts.get("skipped")) == ("0", "0", str(len(failures)))
     assert "known until 2999-01-01: https://example.org/1" in outcome.output
     # After that day they are failures again.
-    write_known(here, failed, "2020-02-29")
+    write_known(here, failures, "2020-02-29")
     outcome = run("--port", "wrong_port:Inverted", "--stages", "rrm", "--known-failures", "known")
     assert outcome.exit_code == 1
     assert "known until 2020-02-29, which is past: https://example.org/1" in outcome.output
     # On a right port the list is wrong, and the report says so.
-    write_known(here, failed)
+    write_known(here, failures)
     outcome = run("--port", "stss.port:ReferencePort", "--stages", "rrm", "--known-failures", "known", "--junit", "junit.xml")
     assert outcome.exit_code == 1
     assert "take it off the list" in outcome.output
-    assert ElementTree.parse(here / "junit.xml").getroot()[0].get("failures") == str(len(failed))
+    assert ElementTree.parse(here / "junit.xml").getroot()[0].get("failures") == str(len(failures))
     write_known(here, ["warp.no_such_test"])
     text = call("conform", "--port", "wrong_port:Port", "--stages", "rrm", "--known-failures", "known").stderr
     assert "known failures: no such test: warp.no_such_test" in text

@@ -23,7 +23,7 @@ from tests.meta.samples import samples
 NAMES = [layer.name for layer in LAYERS]
 
 
-class Mangled(ReferencePort):
+class MangledPort(ReferencePort):
     """The reference, with the taps of one layer's window upside down, or in ``outc``, which has no window, its outputs."""
 
     def __init__(self, layer, only=None):
@@ -50,14 +50,14 @@ def words(port, stage="network", sample=0):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_each_layer_is_named_where_the_mistake_is_in_it(name):
-    message = words(Mangled(name))
+    message = words(MangledPort(name))
     assert message.startswith(f"first departs at layer {name}: error / bound ")
     assert ("before it" in message) == (name != NAMES[0])
 
 
 def test_of_few_layers_the_first_behind_the_mistake_is_named():
     few = ["conv1", "down2.downsample", "up1.conv.double_conv.0"]
-    message = words(Mangled("down1.conv2", few))
+    message = words(MangledPort("down1.conv2", few))
     assert message.startswith("first departs at layer down2.downsample: ")
     assert message.endswith("; conv1 before it is right")
 
@@ -87,7 +87,7 @@ def test_what_lies_behind_all_layers_is_not_one_of_them():
     ],
 )
 def test_layers_that_lack_or_are_wrong(stage, layers, message):
-    port = Mangled("conv1")
+    port = MangledPort("conv1")
     port.layers = lambda *_: layers()
     assert words(port, stage).startswith(message)
 
@@ -95,10 +95,10 @@ def test_layers_that_lack_or_are_wrong(stage, layers, message):
 def test_the_judge_says_it(monkeypatch):
     """In the message of the failing test, beside the diagnosis of the whole."""
     monkeypatch.setattr("conformance.judging.search.SHRINK_SECONDS", 0.0)  # as small as it gets is no part of this
-    results = run_suite(Judge(Mangled("down1.conv1"), Tier("some", 3, 3)), ["encoder"], first_only=True)
-    failed = next(result for result in results if result.outcome == "failed")
-    assert "; first departs at layer down1.conv1: " in failed.message
-    assert "looks like" in failed.message
+    results = run_suite(Judge(MangledPort("down1.conv1"), Tier("some", 3, 3)), ["encoder"], first_only=True)
+    failure = next(result for result in results if result.outcome == "failed")
+    assert "; first departs at layer down1.conv1: " in failure.message
+    assert "looks like" in failure.message
 
 
 def test_every_layer_of_the_table_belongs_to_one_stage():

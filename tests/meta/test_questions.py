@@ -53,9 +53,9 @@ def test_the_same_twice_is_asked_twice():
         again = job[number].inputs["color"].tobytes() + job[number].inputs["motion"].tobytes() in digests
         return {**outputs, "warped": np.nextafter(outputs["warped"], np.float32(9))} if again else outputs
 
-    failed = {result.id for result in judged(Program(second), "warp") if result.outcome == "failed"}
-    assert "warp.the_same_twice" in failed
-    assert "warp.agrees_with_the_reference" not in failed
+    failures = {result.id for result in judged(Program(second), "warp") if result.outcome == "failed"}
+    assert "warp.the_same_twice" in failures
+    assert "warp.agrees_with_the_reference" not in failures
 
 
 def still(columns):

@@ -62,12 +62,12 @@ def as_stored(inputs, dtype):
 @pytest.mark.parametrize("name", every(3, DIFFERENT))
 def test_each_is_near_the_reference(name, stage):
     """Within the OpenCL backend's bounds; with other bits in exactly those stages where they must differ."""
-    judged = port_of(name)
+    port = port_of(name)
     different = False
-    for inputs, weights, truth, rounded in samples_of(stage, judged.dtype):
-        got = judged.run(stage, inputs, weights)
+    for inputs, weights, truth, rounded in samples_of(stage, port.dtype):
+        got = port.run(stage, inputs, weights)
         check_outputs(stage, got, check_inputs(stage, inputs))
-        assert not departs(got, truth, ROWS[judged.dtype])
+        assert not departs(got, truth, ROWS[port.dtype])
         different |= departs(got, rounded, None)
     assert different == (stage in DIFFERENT[name])
 

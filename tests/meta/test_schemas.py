@@ -44,14 +44,14 @@ def samples(tmp_path_factory):
     judge = Judge(ReferencePort(), FEW)
     results = run_suite(judge, ["warp", "rrm", "erm"])
     wrong = Judge(find("warp_x_sign").port(), FEW, shrink=False)
-    failed = run_suite(wrong, ["warp", "rrm"])
+    outcomes = run_suite(wrong, ["warp", "rrm"])
     cases = write_cases(folder / "cases", ["rrm", "history"], FEW)
     return {
         "results": to_json(judge, results, {}, len(results)),
         "cases": cases,
         "known-failures": KNOWN_FAILURES,
         "stages": json.loads((FOLDER / "stages.json").read_text()),
-        "results of a wrong port": to_json(wrong, failed, {failed[0].id: folder}, len(failed), complete=False),
+        "results of a wrong port": to_json(wrong, outcomes, {outcomes[0].id: folder}, len(outcomes), complete=False),
     }
 
 

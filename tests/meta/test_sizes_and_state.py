@@ -49,7 +49,7 @@ def tiled(port, stage, inputs, weights, columns=64):
     return {name: np.ascontiguousarray(np.concatenate([part[name] for part in parts], axis=1)) for name in parts[0]}
 
 
-class Sized(ReferencePort):
+class SizedPort(ReferencePort):
     """Wrong in large frames."""
 
     def __init__(self, kind):
@@ -80,18 +80,18 @@ SIZED = [
 @pytest.mark.parametrize("sized", every(3, SIZED), ids=str)
 def test_a_mistake_of_size_is_found_in_the_quick_tier(sized):
     stage, kind = sized
-    body, judge = find_property(f"{stage}.large_frames_agree_with_the_reference"), Judge(Sized(kind))
+    body, judge = find_property(f"{stage}.large_frames_agree_with_the_reference"), Judge(SizedPort(kind))
     cases = [make(np.random.default_rng(0)) for make in large_inputs(stage, TIERS["quick"].large)]
     with pytest.raises(DepartureError):
         any(judge.check(body, case) for case in cases)
 
 
 def test_a_mistake_of_size_says_where_it_begins():
-    (message,) = messages(Sized(64), Tier("few", 2, 2, 1), "motion_chain")
+    (message,) = messages(SizedPort(64), Tier("few", 2, 2, 1), "motion_chain")
     assert "numbers depart, none before column 64" in message
 
 
-class Counted(ReferencePort):
+class CountingPort(ReferencePort):
     """Fails where a frame has more than ``most`` rows, pixels or numbers: what lies beyond is that of the first ones."""
 
     def __init__(self, what, most):
@@ -112,7 +112,7 @@ class Counted(ReferencePort):
 def test_a_mistake_beyond_720p_is_found_in_the_quick_tier(stage, counted):
     if (stage, counted[0]) == ("rrm", "numbers"):
         counted = "numbers", 65_535 * 16
-    (result,) = run_suite(Judge(Counted(*counted), shrink=False), [stage], only="large or users", first_only=True)[-1:]
+    (result,) = run_suite(Judge(CountingPort(*counted), shrink=False), [stage], only="large or users", first_only=True)[-1:]
     assert result.outcome == "failed"
 
 
@@ -244,14 +244,14 @@ def test_one_in_500_says_that_it_differs_from_run_to_run():
 
 
 def test_one_in_50_depends_on_nothing_and_is_counted():
-    counted = []
+    counts = []
     for seed in range(4):
         judge = Judge(Chance(50, seed), Tier("some", 200, 2))
-        failed = run_suite(judge, ["warp"], only="agrees_with")[0]
-        match = re.search(r"differs from run to run: alone it is wrong (\d+) of 20 times", failed.message)
-        assert match is not None or "depends" not in failed.message
-        counted.append(int(match[1]) if match else -1)
-    assert max(counted) > 0, counted
+        failure = run_suite(judge, ["warp"], only="agrees_with")[0]
+        match = re.search(r"differs from run to run: alone it is wrong (\d+) of 20 times", failure.message)
+        assert match is not None or "depends" not in failure.message
+        counts.append(int(match[1]) if match else -1)
+    assert max(counts) > 0, counts
 
 
 def test_repeats_find_a_race_in_few_cases():
@@ -269,8 +269,8 @@ def test_a_program_that_remembers_is_kept_with_the_case_that_it_needs(tmp_path):
 
     port = Program(stale)
     judge = Judge(port, Tier("some", 60, 5))
-    failed = next(r for r in run_suite(judge, ["rrm"], first_only=True) if r.outcome == "failed")
-    assert "depends on the" in failed.message
-    folder = keep_failure(tmp_path, failed.id, failed.record.failure, "stss conform")
+    failure = next(r for r in run_suite(judge, ["rrm"], first_only=True) if r.outcome == "failed")
+    assert "depends on the" in failure.message
+    folder = keep_failure(tmp_path, failure.id, failure.record.failure, "stss conform")
     assert replay(port, folder).failure is not None
     assert replay(ReferencePort(), folder).failure is None

@@ -124,7 +124,7 @@ def test_a_corner_of_tiles_is_found_in_the_quick_tier(stage: str, tile: int):
 def test_an_index_in_float32_is_found_at_a_users_size(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr("conformance.cases.large_inputs.USER_SIZES", dict.fromkeys(("quick", "full"), (160, 300)))
 
-    class Indexed(ReferencePort):
+    class IndexedPort(ReferencePort):
         """Reads the wrong one of two neighbours where a float has no odd number."""
 
         def run(self, stage: str, inputs: Arrays, weights: Weights | None = None) -> Outputs:
@@ -133,7 +133,7 @@ def test_an_index_in_float32_is_found_at_a_users_size(monkeypatch: pytest.Monkey
             index = np.arange(len(flat))
             return {"image": flat[np.where(index > 150_000, index // 2 * 2, index)].reshape(image.shape)}
 
-    (result,) = run_suite(Judge(Indexed(), Tier("some", 1, 1, 4)), ["network"], only="users_size")
+    (result,) = run_suite(Judge(IndexedPort(), Tier("some", 1, 1, 4)), ["network"], only="users_size")
     assert result.outcome == "failed"
     assert "in the window at row 128, column 0 of the inputs" in result.message
     (result,) = run_suite(Judge(ReferencePort(), Tier("some", 1, 1, 4)), ["frame"], only="users_size")

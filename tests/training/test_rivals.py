@@ -232,6 +232,6 @@ def test_shaders_are_put_together_from_a_checkout(tmp_path):
 
 def test_multiply_adds_are_counted(capsys):
     cost.main(["--size", "32x32", "--rows", "stss", "extranet", "--engines", "pytorch", "--repeat", "1", "--threads", "1"])
-    printed = capsys.readouterr().out
-    assert "stss: 0.417 M parameters" in printed
-    assert "extranet, pytorch:" in printed
+    output = capsys.readouterr().out
+    assert "stss: 0.417 M parameters" in output
+    assert "extranet, pytorch:" in output

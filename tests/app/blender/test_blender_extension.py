@@ -189,12 +189,16 @@ def test_a_folder_with_files_of_others_is_not_rendered_to(film, tmp_path):
 @pytest.fixture(scope="module")
 def bpy_python():
     """A Python that has bpy: ``$STSS_BPY_PYTHON``, or this one; and its version, as 3.11."""
-    named = os.environ.get("STSS_BPY_PYTHON", sys.executable)
+    interpreter = os.environ.get("STSS_BPY_PYTHON", sys.executable)
     code = "import importlib.util, sys; print(*sys.version_info[:2], sep='.'); sys.exit(importlib.util.find_spec('bpy') is None)"
-    process = subprocess.run([named, "-c", code], capture_output=True, text=True, check=False) if shutil.which(named) else None
+    process = (
+        subprocess.run([interpreter, "-c", code], capture_output=True, text=True, check=False)
+        if shutil.which(interpreter)
+        else None
+    )
     if process is None or process.returncode:
         pytest.skip("no bpy: make test-blender installs it")
-    return named, process.stdout.strip()
+    return interpreter, process.stdout.strip()
 
 
 @pytest.fixture(scope="module")
@@ -224,8 +228,8 @@ def test_blender_takes_the_manifest_and_the_licences_go_together(bpy_python, pac
     for text in texts:
         if text.splitlines()[1] == "Name: pocl-binary-distribution":
             continue  # names none; the texts of PoCL (MIT), LLVM (Apache) and hwloc (BSD) lie beside its libraries
-        named = [line for line in text.splitlines() if line.startswith(("License", "Classifier: License"))]
-        assert re.search(r"MIT|BSD|Apache|PSF", " ".join(named)), text
+        licences = [line for line in text.splitlines() if line.startswith(("License", "Classifier: License"))]
+        assert re.search(r"MIT|BSD|Apache|PSF", " ".join(licences)), text
     assert not re.search("opencv|scipy|torch", " ".join(every))
 
 
@@ -274,7 +278,7 @@ def test_a_scene_becomes_supersampled_frames_without_a_hand_on_it(bpy_python, pa
     assert rows[0][2] < rows[1][2], "more samples, no better"
 
 
-def see_trap(report, folder, printed):
+def see_trap(report, folder, output):
     """The scene of `blender_film.make_trap`: refused before an hour is spent; moving objects have numbers; a marker's cut is a cut."""
     assert {name: line.strip().split(": ")[1] for name, line in report["refused"].items()} == {
         "unsaved": "Folder", "use_multiview": "Stereoscopy", "frame_step": "Frame Range, Step", "cuts": "Options"
@@ -286,7 +290,7 @@ def see_trap(report, folder, printed):
     assert report["image"] == [str(folder / "trap" / "out" / "frame.1001.exr"), True]
     assert not (folder / "mine").exists(), "the compositor wrote small frames over the user's files"
     for line in ("Motion Blur: not", "view layers: zweite Ebene ö alone", "Compositor: not", "Sequencer: not", "66 x 46 pixels"):
-        assert f"Warning: {line}" in printed or f"size: the frames have {line}" in printed, line
+        assert f"Warning: {line}" in output or f"size: the frames have {line}" in output, line
     kinds = {}
     for path in sorted((folder / "trap" / "out").glob("*.exr")):
         header = read_header(path)

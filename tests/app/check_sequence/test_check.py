@@ -35,10 +35,10 @@ def test_a_sound_sequence(write_frames):
     ratios = report.tables["reprojection"]["ratios"]
     assert set(ratios) == set(list(CHOICES)[1:])
     assert min(ratios.values()) > 2  # the right choice beats all others
-    printed = io.StringIO()
-    print_report(report, Console(width=100, file=printed))
-    assert "motion: fits as profile stss says" in printed.getvalue()
-    assert "basecolor.G" in printed.getvalue()
+    output = io.StringIO()
+    print_report(report, Console(width=100, file=output))
+    assert "motion: fits as profile stss says" in output.getvalue()
+    assert "basecolor.G" in output.getvalue()
 
 
 def test_frames_and_buffers_that_are_missing(write_frames):

@@ -32,8 +32,8 @@ def test_the_camera_follows_from_position_and_depth(ray):
     depth, position = wall(rng, centre, 0.7)
     if ray:
         depth = np.linalg.norm(position - centre, axis=-1).astype(np.float32)
-    mixed = rng.random(SIZE) < 0.1
-    position[mixed] += rng.normal(size=(mixed.sum(), 3)).astype(np.float32)
+    mixtures = rng.random(SIZE) < 0.1
+    position[mixtures] += rng.normal(size=(mixtures.sum(), 3)).astype(np.float32)
     depth[0] = np.inf
     camera = solve_camera(depth, position, ray=ray)
     assert np.abs(camera.pose.position - centre).max() < 2**-23 * 310 * 30, camera  # positions are rounded to float32
@@ -65,10 +65,10 @@ def test_check_and_run_need_neither_profile_nor_camera(write_frames, tmp_path):
     source = write_frames(range(4), change=bumpy, rendered=(0, 2), folder="given")
     assert find_profile(lr).name == "stss"
     runner = CliRunner()
-    checked = runner.invoke(stss, ["check", str(lr)], catch_exceptions=False)
-    assert checked.exit_code in (0, 1), checked.output
-    assert "profile: stss" in checked.output
-    assert "frames 0 to 3, 64 x 48 in, 128 x 96 out" in checked.output.splitlines()[-1]
+    report = runner.invoke(stss, ["check", str(lr)], catch_exceptions=False)
+    assert report.exit_code in (0, 1), report.output
+    assert "profile: stss" in report.output
+    assert "frames 0 to 3, 64 x 48 in, 128 x 96 out" in report.output.splitlines()[-1]
     for folder, out in ((lr, "a"), (source, "b")):
         result = runner.invoke(stss, ["run", str(folder), "-o", str(tmp_path / out), "--weights", "bilinear", "--backend", "ref"])
         assert result.exit_code == 0, result.output
@@ -103,5 +103,5 @@ def test_check_proves_a_camera_right_or_wrong(write_frames, tmp_path):
     for place, expected in (("0,0,0", "agrees with position and depth"), ("0,5,0", "leave --camera out")):
         table = tmp_path / "camera.csv"
         table.write_text(f"frame,x,y,z\n0,{place}\n1,{place}\n")
-        checked = CliRunner().invoke(stss, ["check", str(lr), "--camera", str(table)], catch_exceptions=False)
-        assert expected in checked.output
+        report = CliRunner().invoke(stss, ["check", str(lr), "--camera", str(table)], catch_exceptions=False)
+        assert expected in report.output

@@ -156,7 +156,7 @@ def test_a_bad_frame_is_reported_as_in_one_process(threads, write_frames, tmp_pa
 @pytest.mark.parametrize("how", ["dies", thorough("hangs")])
 def test_a_chunk_whose_worker_ends_is_computed_again(threads, frames, tmp_path, monkeypatch, how):
     def becomes(handed, arguments):
-        if handed in (2, 3) or set(arguments[1]) & doomed:
+        if handed in (2, 3) or set(arguments[1]) & victims:
             future = Future()
             if how == "dies":
                 future.set_exception(DiedError())
@@ -166,11 +166,11 @@ def test_a_chunk_whose_worker_ends_is_computed_again(threads, frames, tmp_path, 
     if how == "hangs":
         monkeypatch.setattr(module, "MIN_TIMEOUT", 1.0)
         monkeypatch.setattr(module, "TIMEOUT_FACTOR", 5.0)
-    doomed = set()
+    victims = set()
     threads(becomes)
     on_cluster(frames, tmp_path / "many")
     assert_as_in_one_process(frames, tmp_path / "many")
-    doomed = {9}
+    victims = {9}
     with pytest.raises(InputError, match=r"workers died or hung 4 times, frames 8 to 11; --resume goes on"):
         on_cluster(frames, tmp_path / "doomed")
     assert (tmp_path / "doomed" / "frame.0007.exr").exists()
@@ -203,17 +203,17 @@ def sockets(process):
 @pytest.mark.skipif(not Path("/proc/self/fd").exists(), reason="no /proc")
 def test_processes_here_have_no_socket_and_may_die(frames, tmp_path):
     """Without a socket no other user can reach them. One is killed when the first chunk has arrived."""
-    killed, counts = [], []
+    pids, counts = [], []
 
     def on_frame(report):
-        if not killed:
+        if not pids:
             children = multiprocessing.active_children()
             counts.extend(socket for child in children for socket in sockets(child.pid))
-            killed.append(children[0].pid)
+            pids.append(children[0].pid)
             os.kill(children[0].pid, signal.SIGKILL)
 
     on_cluster(frames, tmp_path / "many", "local:2", on_frame=on_frame)
-    assert killed
+    assert pids
     assert not counts
     assert not multiprocessing.active_children()
     assert_as_in_one_process(frames, tmp_path / "many")

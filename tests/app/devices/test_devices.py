@@ -28,7 +28,7 @@ from stss_cl.device.discovery import DeviceError, open_device
 from stss_ref.weights import random
 from tests.hostile.cases import runs
 
-PASSED = {"why": "", "gflops": 5.0}
+PASS = {"why": "", "gflops": 5.0}
 NAME = "A: cpu"
 HANDLE = SimpleNamespace(driver_version="1", platform=SimpleNamespace(version="OpenCL 1.2"))
 
@@ -203,7 +203,7 @@ def test_what_is_no_pass_says_why(monkeypatch, text, words):
 def test_a_wrong_time_limit_is_the_users_mistake(monkeypatch, limit):
     monkeypatch.setenv("STSS_SELFTEST_SECONDS", limit)
     with pytest.raises(DeviceError, match=r"^STSS_SELFTEST_SECONDS: expected a number of seconds > 0, 86400 at most, got"):
-        run_selftest("any", answer(PASSED))
+        run_selftest("any", answer(PASS))
 
 
 # The kept verdict
@@ -215,7 +215,7 @@ NEVER = child("raise SystemExit('a kept verdict needs no child')")
 def test_a_verdict_is_kept_until_told_otherwise():
     handle = fake("A", "cpu")
     assert find_verdict("A: cpu", handle) is None
-    first = verdict("A: cpu", handle, command=answer(PASSED))
+    first = verdict("A: cpu", handle, command=answer(PASS))
     assert verdict("A: cpu", handle, command=NEVER) == first == find_verdict("A: cpu", handle)
     assert verdict("A: cpu", handle, again=True, command=answer({"why": "x", "gflops": 0})).why == "x"
     assert verdict("A: cpu", handle, command=NEVER).why == "x"
@@ -228,22 +228,22 @@ def test_again_forgets_what_later_trials_ended_with():
     """``stss devices --again`` is what a refusal names; it tests with the first trial's weights alone."""
     handle = fake("A", "cpu")
     verdict("A: cpu", handle, trial=EVERY, command=answer({"why": "x", "gflops": 0}))
-    verdict("A: cpu", handle, again=True, command=answer(PASSED))
+    verdict("A: cpu", handle, again=True, command=answer(PASS))
     assert find_verdict("A: cpu", handle, trial=EVERY) is None
 
 
 def test_a_device_that_passed_with_more_layers_is_not_tested_with_fewer():
     handle = fake("A", "cpu")
     verdict("A: cpu", handle, trial="antialiased", command=answer({"why": "x", "gflops": 0}))
-    assert verdict("A: cpu", handle, command=answer(PASSED)).passed
-    more = verdict("B: cpu", handle, trial="antialiased", command=answer(PASSED))
+    assert verdict("A: cpu", handle, command=answer(PASS)).passed
+    more = verdict("B: cpu", handle, trial="antialiased", command=answer(PASS))
     assert verdict("B: cpu", handle, command=NEVER) == more
     assert find_verdict("B: cpu", handle, trial=EVERY) is None
 
 
 def test_a_verdict_lapses_when_anything_changes(monkeypatch):
     handle = fake("A", "cpu")
-    verdict("A: cpu", handle, command=answer(PASSED))
+    verdict("A: cpu", handle, command=answer(PASS))
     assert find_verdict("A: cpu #2", handle) is None
     assert find_verdict("A: cpu", fake("A", "cpu", driver="2")) is None
     for change in (
@@ -278,7 +278,7 @@ def test_an_edited_verdict_is_ignored(edit):
 # A busy machine
 
 
-ANSWER = f"print({json.dumps(json.dumps(PASSED))}, flush=True)\n"
+ANSWER = f"print({json.dumps(json.dumps(PASS))}, flush=True)\n"
 
 
 @pytest.mark.thorough

@@ -50,9 +50,9 @@ def nodes(monkeypatch):
 def call(nodes, name, **inputs):
     """The outputs of a node; its inputs must be those that it declares, its outputs as many as it names."""
     node = nodes.NODE_CLASS_MAPPINGS[name]
-    declared = node.INPUT_TYPES()["required"]
-    assert declared.keys() == inputs.keys()
-    for key, (kind, *_) in declared.items():
+    kinds = node.INPUT_TYPES()["required"]
+    assert kinds.keys() == inputs.keys()
+    for key, (kind, *_) in kinds.items():
         assert not isinstance(kind, list) or inputs[key] in kind
     outputs = getattr(node(), node.FUNCTION)(**inputs)
     assert len(outputs) == len(node.RETURN_TYPES) == len(node.RETURN_NAMES)

@@ -52,8 +52,8 @@ def test_what_a_compression_changes_is_known(tmp_path, kind, number_type):
         write_parts(tmp_path / path, (pixels, names, {"compression": (compression,)}), number_type=number_type)
     header = images.read_header(tmp_path / "a.exr")
     channels, expected = (images.read_channels(tmp_path / path, names) for path in ("a.exr", "b.exr"))
-    changed = [name for name in names if not np.array_equal(channels[name], expected[name])]
-    assert [name for name in names if header.lossy(name)] == changed
+    changes = [name for name in names if not np.array_equal(channels[name], expected[name])]
+    assert [name for name in names if header.lossy(name)] == changes
 
 
 def test_whole_numbers_keep_their_value(tmp_path):

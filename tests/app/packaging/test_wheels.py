@@ -147,17 +147,17 @@ def test_a_folder_of_pythonpath_is_enough(program, tmp_path):
 
 def test_the_judge_has_the_files_of_the_program_and_needs_what_it_imports(judge):
     wheel = judge[0]
-    listed = [name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in name]
-    assert {name.split("/")[0] for name in listed} == {"stss_ground", "stss_ref", "stss_judge", "stss_judge.pth"}
-    for name in listed:
+    names_in_wheel = [name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in name]
+    assert {name.split("/")[0] for name in names_in_wheel} == {"stss_ground", "stss_ref", "stss_judge", "stss_judge.pth"}
+    for name in names_in_wheel:
         assert (ROOT / name.removeprefix("stss_judge/")).is_file(), name
-    assert not [name for name in listed if "__pycache__" in name]
+    assert not [name for name in names_in_wheel if "__pycache__" in name]
     text = zipfile.ZipFile(wheel).read(f"spacetime_supersampling_judge-{VERSION}.dist-info/METADATA").decode()
-    required = [line for line in re.findall(r"^Requires-Dist: (.*)$", text, re.M) if "extra ==" not in line]
-    needed = {re.match("[a-z]+", line).group() for line in required}
-    assert needed == {"numpy", "safetensors", "click", "rich", "filelock", "pytest", "hypothesis"}
+    requirements = [line for line in re.findall(r"^Requires-Dist: (.*)$", text, re.M) if "extra ==" not in line]
+    packages = {re.match("[a-z]+", line).group() for line in requirements}
+    assert packages == {"numpy", "safetensors", "click", "rich", "filelock", "pytest", "hypothesis"}
     whole = (ROOT / "pyproject.toml").read_text()
-    for requirement in required:
+    for requirement in requirements:
         assert f'"{requirement}"' in whole, requirement
     assert wheel.stat().st_size < 1e6
 

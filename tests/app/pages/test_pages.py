@@ -107,7 +107,7 @@ def test_a_plot_of_any_numbers_stays_within_its_frame(values):
 
 
 @pytest.fixture
-def compared(tmp_path):
+def comparison(tmp_path):
     """Two folders of an output and its truth, four frames."""
     for n in range(4):
         truth = pictures(n, "truth")["truth"]
@@ -121,26 +121,26 @@ def compared(tmp_path):
     return tmp_path
 
 
-def test_compare_makes_a_page(compared):
-    words = ["compare", str(compared / "out"), str(compared / "truth"), "--html", str(compared / "p.html")]
+def test_compare_makes_a_page(comparison):
+    words = ["compare", str(comparison / "out"), str(comparison / "truth"), "--html", str(comparison / "p.html")]
     result = CliRunner().invoke(stss, words, catch_exceptions=False)
     assert result.exit_code == 0
-    data = data_of(compared / "p.html")
+    data = data_of(comparison / "p.html")
     assert data["views"] == ["output", "truth"]
     assert len(data["pictures"]) == 8
     assert [frame["name"] for frame in data["frames"]] == ["frame 0, SF", "frame 1, EF", "frame 2, SF", "frame 3, EF"]
-    text = (compared / "p.html").read_text()
+    text = (comparison / "p.html").read_text()
     for title in ("PSNR over RGB, dB", "SSIM of the luma", "What the columns mean"):
         assert title in text
     assert text.count("<svg viewBox") == 3
 
 
-def test_compare_shows_what_the_output_was_made_of(compared, write_frames):
+def test_compare_shows_what_the_output_was_made_of(comparison, write_frames):
     folder = write_frames(range(4), rendered={0, 2}, size=(SIZE[0] // 2, SIZE[1] // 2))
-    words = ["compare", str(compared / "out"), str(compared / "truth"), "--sequence", str(folder)]
-    result = CliRunner().invoke(stss, [*words, "--html", str(compared / "p.html")], catch_exceptions=False)
+    words = ["compare", str(comparison / "out"), str(comparison / "truth"), "--sequence", str(folder)]
+    result = CliRunner().invoke(stss, [*words, "--html", str(comparison / "p.html")], catch_exceptions=False)
     assert result.exit_code == 0
-    data = data_of(compared / "p.html")
+    data = data_of(comparison / "p.html")
     assert data["views"] == ["input", "bilinear", "output", "truth"]
     inputs = [frame["pictures"]["input"] for frame in data["frames"]]
     assert inputs[0] == inputs[1] != inputs[2] == inputs[3]

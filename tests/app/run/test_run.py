@@ -91,7 +91,7 @@ def test_an_interrupt_loses_nothing_that_was_computed():
     assert [item for step, item in steps.log if step == "done"] == [0, 1, 2]
 
 
-class Noted(ReferenceBackend):
+class NotingBackend(ReferenceBackend):
     """Notes the thread of every call; ``spoil`` is given call and image."""
 
     def __init__(self, spoil=lambda call, image: image):
@@ -129,12 +129,12 @@ def numbers_in(out):
 def test_a_frame_that_is_not_there_is_said_before_any_is_computed(write_frames, tmp_path):
     sequence = open_sequence(write_frames([0, 1, 2, 4, 6], size=(16, 24)), "stss")
     with pytest.raises(InputError, match=r"frame 3 and 1 more: not there"):
-        run(sequence, tmp_path / "out", Noted(), "w", RunOptions())
+        run(sequence, tmp_path / "out", NotingBackend(), "w", RunOptions())
     assert not (tmp_path / "out").exists()
 
 
 def test_frames_are_on_disk_when_they_are_reported_by_the_callers_thread(sequence, tmp_path, loads):
-    out, backend, reports = tmp_path / "out", Noted(), []
+    out, backend, reports = tmp_path / "out", NotingBackend(), []
 
     def check(report):
         assert report.number in numbers_in(out)
@@ -150,14 +150,14 @@ def test_frames_are_on_disk_when_they_are_reported_by_the_callers_thread(sequenc
 
 def test_resume_reads_only_what_is_computed(sequence, tmp_path, loads):
     out = tmp_path / "out"
-    run(sequence, out, Noted(), "w", RunOptions())
+    run(sequence, out, NotingBackend(), "w", RunOptions())
     whole = {path: path.read_bytes() for path in out.rglob("*.*")}
     loads.clear()
-    summary = run(sequence, out, Noted(), "w", RunOptions(resume=True))
+    summary = run(sequence, out, NotingBackend(), "w", RunOptions(resume=True))
     assert summary.count("kept") == 12
     assert not loads
     (out / "frame.0008.exr").unlink()
-    summary = run(sequence, out, Noted(), "w", RunOptions(resume=True))
+    summary = run(sequence, out, NotingBackend(), "w", RunOptions(resume=True))
     assert summary.count("kept") == 11
     assert loads == list(range(3, 9))
     assert {path: path.read_bytes() for path in out.rglob("*.*")} == whole
@@ -165,7 +165,7 @@ def test_resume_reads_only_what_is_computed(sequence, tmp_path, loads):
 
 def test_an_error_of_the_writer_stops_the_run(sequence, tmp_path):
     """A network's NaN is found as the image is converted, in the writer."""
-    backend = Noted(lambda call, image: image * np.float32(np.nan) if call == 5 else image)
+    backend = NotingBackend(lambda call, image: image * np.float32(np.nan) if call == 5 else image)
     with pytest.raises(ArrayError, match="image"):
         run(sequence, tmp_path / "out", backend, "w", RunOptions())
     assert numbers_in(tmp_path / "out") == list(range(5))
