@@ -151,7 +151,7 @@ class Log:
             self.path.write_text("".join(line + "\n" for line in lines))
 
 
-WRITTEN = ("weights.safetensors", "best.safetensors", "state.safetensors")
+FILES = ("weights.safetensors", "best.safetensors", "state.safetensors")
 
 
 def keep(out: Path, state: State, means: Means) -> None:
@@ -266,7 +266,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if args.compile and shutil.which(os.environ.get("CXX", "g++")) is None:
         raise InputError("--compile: expected a C++ compiler, g++ or what CXX names; found none")
     if args.initial is not None and not args.resume:
-        for path in filter(Path.exists, (args.out / name for name in WRITTEN)):
+        for path in filter(Path.exists, (args.out / name for name in FILES)):
             require_places({"--out": path}, [Path(args.initial)])
     device = torch.device(args.device)
     initial = None if args.initial is None else load(args.initial).weights

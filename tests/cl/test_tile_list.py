@@ -18,8 +18,8 @@ MARKED = st.tuples(st.integers(0, 2), st.integers(0, 35), st.sampled_from((0, 3,
 @given(st.sampled_from(READS), st.integers(1, 3), st.booleans(), st.integers(1, 9), st.sampled_from((1, 2, 16, 63, 64, 65, 129)),
        st.lists(MARKED, max_size=5))  # fmt: skip
 @example(READS[6], 1, False, 3, 65, [(0, 0, 63), (0, 11, 255)])  # the last that a tile reads; what two work-items read
-def test_tiles_are_listed_that_marks_reach(device, read, count, images, fours_down, fours_across, marked):
-    (height, width), (step, before, beyond) = (4 * fours_down, 4 * fours_across), read
+def test_tiles_are_listed_that_marks_reach(device, window, count, images, fours_down, fours_across, marked):
+    (height, width), (step, before, beyond) = (4 * fours_down, 4 * fours_across), window
     size = [ceil_div(length, s) for length, s in zip((height, width), step, strict=True)]
     tiling = Tiling(*size, step, before, beyond, count if images else 1)
     maps = np.zeros((count, height, width), np.uint8)

@@ -179,11 +179,11 @@ def commands(group=stss_group, *names):
 
 
 PAIRS = [
-    (names, command, read, output)
+    (names, command, source, output)
     for names, command in commands()
-    for read in command.params
+    for source in command.params
     for output in command.params
-    if isinstance(read.type, (ReadPath, ReadName)) and isinstance(output.type, WrittenFile)
+    if isinstance(source.type, (ReadPath, ReadName)) and isinstance(output.type, WrittenFile)
 ]
 
 
@@ -526,12 +526,12 @@ def test_without_files_in_memory_a_cut_picture_is_found_too(tmp_path, monkeypatc
     monkeypatch.delattr(os, "memfd_create")
     picture = np.random.default_rng(0).random((40, 40, 3))
     write_rgb(tmp_path / name, picture)
-    whole, read = (tmp_path / name).read_bytes(), Path.read_bytes
+    whole, read_bytes = (tmp_path / name).read_bytes(), Path.read_bytes
     for keep in (0, 9, len(whole) // 2, len(whole) - 1):
-        monkeypatch.setattr(Path, "read_bytes", lambda path, keep=keep: read(path)[:keep])
+        monkeypatch.setattr(Path, "read_bytes", lambda path, keep=keep: read_bytes(path)[:keep])
         with pytest.raises(InputError, match="cut short"):
             write_rgb(tmp_path / name, picture)
-        monkeypatch.setattr(Path, "read_bytes", read)
+        monkeypatch.setattr(Path, "read_bytes", read_bytes)
         assert (tmp_path / name).read_bytes() == whole
 
 

@@ -57,8 +57,8 @@ def test_mistakes_that_look_alike_in_the_smallest_case_are_told_apart():
 @pytest.mark.parametrize("name", ["erm_own_pixel_left_out", "erm_value_masked_twice"])
 def test_a_mistake_that_is_not_in_the_list_has_no_name(monkeypatch, name):
     """Its smallest failures look like those of others; the port's answers to larger cases tell them apart."""
-    mistake, known = find(name), diagnosis.suspects
-    monkeypatch.setattr(diagnosis, "suspects", lambda stage: [each for each in known(stage) if each is not mistake])
+    mistake, suspects = find(name), diagnosis.suspects
+    monkeypatch.setattr(diagnosis, "suspects", lambda stage: [each for each in suspects(stage) if each is not mistake])
     judge = Judge(mistake.port(), Tier("some", 10, 6, 0))
     (result,) = run_suite(judge, [mistake.stage], only="agrees_with_the_reference")
     assert "; looks like none of the" in result.message

@@ -152,16 +152,16 @@ class Keeps(ReferencePort):
     """Gives the last answer again where a part of the inputs is that of the last call."""
 
     def __init__(self, key):
-        self.key, self.kept, self.answer = key, None, None
+        self.key, self.cached, self.answer = key, None, None
 
     def run(self, stage, inputs, weights=None):
         key = [(array.shape, array.tobytes()) for array in map(np.ascontiguousarray, KEYS[self.key](inputs, weights))]
-        if key != self.kept:
-            self.kept, self.answer = key, super().run(stage, inputs, weights)
+        if key != self.cached:
+            self.cached, self.answer = key, super().run(stage, inputs, weights)
         return self.answer
 
 
-KEPT = [
+CACHING_PORTS = [
     *(("history", key) for key in ("first rows", "last rows", "sums", "every second pixel", "no weights", "sums of weights")),
     *((stage, "the header of the weights' file") for stage in NETWORKS),
     *(("erm", key) for key in ("the first array", "the last array", "the first weights")),
@@ -173,7 +173,7 @@ KEPT = [
 """Stage and what it is kept by."""
 
 
-@pytest.mark.parametrize("kept", every(4, KEPT), ids=" by ".join)
+@pytest.mark.parametrize("kept", every(4, CACHING_PORTS), ids=" by ".join)
 def test_what_is_kept_by_a_part_of_the_inputs_is_found(kept):
     stage, key = kept
     (result,) = run_suite(Judge(Keeps(key), shrink=False), [stage], only="kept_by_a_part")

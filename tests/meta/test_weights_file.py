@@ -28,9 +28,9 @@ def header(data):
 def test_the_library_reads_them(tmp_path):
     for own in SETS:
         weights = replace(own, second_color="detail", hole_test="paper")
-        read = read_weights(serialise(weights), tmp_path)
-        assert (read.second_color, read.hole_test) == ("detail", "paper")
-        assert all(np.array_equal(read[name], weights[name]) for name in TENSORS)
+        copy = read_weights(serialise(weights), tmp_path)
+        assert (copy.second_color, copy.hole_test) == ("detail", "paper")
+        assert all(np.array_equal(copy[name], weights[name]) for name in TENSORS)
         assert serialise(weights) == serialise(shuffle(weights))
 
 

@@ -207,10 +207,10 @@ def test_nss_reads_between_pixels():
     y, x = np.indices((8, 9), np.float32)
     ramp = np.stack([x, 2 * y, x + y], axis=-1)
     inner = (slice(2, -3), slice(2, -3))
-    for read in (nss.read, nss.read_sharply):
-        np.testing.assert_allclose(read(ramp, x, y)[inner], ramp[inner], atol=1e-5)
-        np.testing.assert_allclose(read(ramp, x + 0.25, y)[inner], (ramp + np.float32([0.25, 0, 0.25]))[inner], atol=1e-5)
-        np.testing.assert_allclose(read(ramp, x, y + 0.5)[inner], (ramp + np.float32([0, 1, 0.5]))[inner], atol=1e-5)
+    for reader in (nss.read, nss.read_sharply):
+        np.testing.assert_allclose(reader(ramp, x, y)[inner], ramp[inner], atol=1e-5)
+        np.testing.assert_allclose(reader(ramp, x + 0.25, y)[inner], (ramp + np.float32([0.25, 0, 0.25]))[inner], atol=1e-5)
+        np.testing.assert_allclose(reader(ramp, x, y + 0.5)[inner], (ramp + np.float32([0, 1, 0.5]))[inner], atol=1e-5)
     depth, across, down = nss.nearest_depth(np.float32([[5, 5, 5], [5, 5, 1], [5, 5, 5]]))
     assert depth[0, 1] == 1
     assert (across[0, 1], down[0, 1]) == (1, 1)

@@ -271,13 +271,13 @@ def test_colours_and_depths_are_those_that_a_run_reads(tmp_path, domain):
     profile = tmp_path / "mine.toml"
     profile.write_text(f'base = "stss"\ncolor_domain = "{domain}"\ndepth_normalisation = "clip"\n')
     module.main(["-o", str(tmp_path / "out"), "--sequence", str(low), str(high), "--name", "mine", "--profile", str(profile)])
-    shown = 0.5 if domain == "display" else 0.7354
+    grey = 0.5 if domain == "display" else 0.7354
     truth, inputs = (np.load(tmp_path / "out" / "mine" / f"{name}.npy") for name in ("truth", "inputs"))
     index = json.loads((tmp_path / "out" / "mine" / "index.json").read_text())
-    for frame, value in ((4, shown), (5, 0.25)):
+    for frame, value in ((4, grey), (5, 0.25)):
         np.testing.assert_allclose(truth[index["frames"].index(frame)], value, atol=2e-3)
     first = inputs[index["kinds"].index("SF")]
-    np.testing.assert_allclose(first[..., :3], shown, atol=2e-3)
+    np.testing.assert_allclose(first[..., :3], grey, atol=2e-3)
     np.testing.assert_allclose(first[..., 6], 0.5, atol=2e-3)
 
 

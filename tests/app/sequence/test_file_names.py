@@ -42,16 +42,16 @@ def test_a_minus_sign_is_told_from_a_dash(tmp_path, names):
     assert find_names(tmp_path, *names.values()) == names
 
 
-@pytest.mark.parametrize(("written", "advice"), [
+@pytest.mark.parametrize(("pattern", "advice"), [
     ("shot.%04d.exr", "shot.####.exr"), ("shot.$F4.exr", "shot.####.exr"), ("shot.<F4>.exr", "shot.####.exr"),
     ("shot_v002.@@@@.exr", "shot_v002.####.exr"), ("shot-2.*.exr", "shot-2.####.exr"), ("shot.[1-24].exr", "shot.####.exr"),
     ("shot.0001-0024.exr", "shot.####.exr"), ("shot_v002.0001.exr", "shot_v002.####.exr"), ("a1.%d.EXR", "a1.####.EXR"),
     ("shot01", None), ("shot", None),
 ])  # fmt: skip
-def test_the_pattern_of_another_program_is_told_as_ours(tmp_path, written, advice):
+def test_the_pattern_of_another_program_is_told_as_ours(tmp_path, pattern, advice):
     (tmp_path / "shot_v002.0001.exr").touch()
     with pytest.raises(InputError) as error:
-        find_frames(tmp_path / written, [""])
+        find_frames(tmp_path / pattern, [""])
     assert "expected a folder, or a pattern like name.####.exr; found " in str(error.value)
     assert str(error.value).partition("; write ")[2] == (advice or "")
 
