@@ -9,22 +9,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from stss.check_sequence.background_verdict import BackgroundVerdict, common_verdict, measure_background
 from stss.check_sequence.jitter import ALIKE, Jitter, common_shift
 from stss.check_sequence.value_statistics import Line
 from stss.frames.buffers import Buffers
 from stss.frames.static_holes import static_holes
 from stss.sequence.background import LOOSE, background_motion, static_surfaces
 from stss.sequence.projection import Projection, solve_projection
-from stss_ref.arrays import Array, Image
+from stss_ref.arrays import Array
 from stss_ref.holes import holes
 from stss_ref.sample import follow, leads_inside
 
 NEAR = 1e-2
 """Share of the distance to the surfaces, below which the camera is at the origin."""
-OFF = 0.25
-"""Pixels: the largest median error of the background's motion without a warning."""
-MIN_PIXELS = 200
-"""Fewest pixels of background that allow a judgement."""
 AGREES = 0.1
 """Pixels: the largest median error of motion that agrees with the positions, or three times the positions' own error."""
 BETTER = 0.25
@@ -153,36 +150,6 @@ class StaticVerdict:
 
 
 @dataclass(frozen=True)
-class BackgroundVerdict:
-    """Facts about the background's motion, from the camera's turn.
-
-    Attributes:
-        share: of the frame.
-        turns: median motion that the camera gives it; pixels.
-        error: median distance of the stored motion from that; pixels. Infinite: most of it is not finite.
-        zero: whether the stored motion is 0 everywhere.
-    """
-
-    share: float
-    turns: float
-    error: float
-    zero: bool
-
-    def lines(self) -> list[Line]:
-        """Findings."""
-        if self.error <= OFF:
-            return [("note", f"background: its motion is right to {self.error:.2g} pixels, by the camera that positions show")]
-        error = "0" if self.zero else "not finite" if self.error == np.inf else f"off by {self.error:.2g} pixels"
-        return [
-            (
-                "warning",
-                f"background: its motion is {error}, though the camera turns by {self.turns:.2g} pixels a frame: EFs lose up to 5 dB. "
-                "Write the motion of infinitely far points, which depends only on the rotation, or give --background camera",
-            )
-        ]
-
-
-@dataclass(frozen=True)
 class StaticGeometry:
     """Findings from static geometry.
 
@@ -217,7 +184,7 @@ def judge_static_geometry(pairs: Iterable[tuple[Buffers, Buffers]]) -> StaticGeo
     against: list[tuple[float, float]] = []
     within: list[tuple[float, float]] = []
     repeats: list[int] = []
-    sky: list[tuple[float, float, float, float]] = []
+    sky: list[BackgroundVerdict] = []
     size, mirrored, relative = (0, 0), None, True
     for before, now in pairs:
         size = now.size
@@ -231,7 +198,7 @@ def judge_static_geometry(pairs: Iterable[tuple[Buffers, Buffers]]) -> StaticGeo
         if earlier is None or current is None:
             continue
         if len(earlier.axes) == len(current.axes) == 3 and max(earlier.residual, current.residual) <= LOOSE:
-            sky += _background(background_motion(earlier, current, size), now)
+            sky += measure_background(background_motion(earlier, current, size), now)
         static = still & static_surfaces(now)
         there, away = earlier.project(now.position[static].astype(np.float64))
         visible = (away > 0) & (there >= 0).all(axis=-1) & (there <= (size[1] - 1, size[0] - 1)).all(axis=-1)
@@ -250,11 +217,7 @@ def judge_static_geometry(pairs: Iterable[tuple[Buffers, Buffers]]) -> StaticGeo
         depths = (_depth(a.depth, b, by) for a, b, by in ((now, now, current), (before, now, current), (now, before, earlier)))
         single.append((max(earlier.residual, current.residual), *depths, *_normals(now), share, movers))
     positions = _verdict(samples, single, size, mirrored=mirrored, relative=relative) if samples else None
-    background = None
-    if sky:
-        share, turns, error, largest = np.median(sky, axis=0)
-        background = BackgroundVerdict(float(share), float(turns), float(error), bool(largest == 0))
-    return StaticGeometry(positions, Jitter(tuple(against), tuple(within)), tuple(repeats), background)
+    return StaticGeometry(positions, Jitter(tuple(against), tuple(within)), tuple(repeats), common_verdict(sky))
 
 
 def _at_origin(projection: Projection, frame: Buffers) -> bool:
@@ -264,18 +227,6 @@ def _at_origin(projection: Projection, frame: Buffers) -> bool:
         return False
     away = np.linalg.norm(frame.position[static_surfaces(frame)].astype(np.float64) - camera, axis=-1)
     return bool(np.linalg.norm(camera) < NEAR * np.median(away))
-
-
-def _background(motion: Image, now: Buffers) -> list[tuple[float, float, float, float]]:
-    """For a frame's background: its share, the median of its right motion, the median error and the largest of its stored motion."""
-    background = ~np.isfinite(now.depth) & np.isfinite(motion).all(axis=-1)
-    if background.sum() < MIN_PIXELS:
-        return []
-    own = np.where(np.isfinite(now.motion), now.motion, np.inf)[background].astype(np.float64)
-    with np.errstate(invalid="ignore"):
-        errors = np.linalg.norm(own - motion[background], axis=-1)
-    turns = float(np.median(np.linalg.norm(motion[background], axis=-1)))
-    return [(float(background.mean()), turns, float(np.median(errors)), float(np.abs(own).max()))]
 
 
 def _verdict(
