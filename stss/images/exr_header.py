@@ -18,7 +18,7 @@ def header_bytes(file: BinaryIO) -> int:
     A file that is no EXR, or ends within its header, gives the entries before that: the library reports the fault.
 
     Args:
-        file: just behind its magic number.
+        file: just behind its magic number; afterwards behind the headers.
 
     Source: OpenEXR File Layout, "Header Attributes": name, type, length and value, each header ended by an empty name; those of a
     multi-part file one after the other, ended by an empty header.
@@ -42,6 +42,24 @@ def header_bytes(file: BinaryIO) -> int:
     else:
         return MOST_HEADER + 1
     return total
+
+
+def ends_early(file: BinaryIO, size: int) -> bool:
+    """Whether a part of an EXR file's pixels would lie behind its end, as in a copy that was stopped; then no pixel need be read.
+
+    Args:
+        file: just behind its headers.
+        size: bytes of the file.
+
+    Source: OpenEXR File Layout, "Offset Tables": one place of 8 bytes for each chunk, all before the first chunk.
+    """
+    at, first, last = file.tell(), size, 0
+    while at < first and len(entry := file.read(8)) == 8:
+        (place,) = struct.unpack("<Q", entry)
+        if place:  # 0: never written
+            first, last = min(first, place), max(last, place)
+        at += 8
+    return last >= size
 
 
 def _word(file: BinaryIO) -> bytes | None:

@@ -19,7 +19,7 @@ from typing import Any, BinaryIO, NamedTuple
 import numpy as np
 import OpenImageIO as oiio  # noqa: N813
 
-from stss.images.exr_header import MOST_HEADER, header_bytes
+from stss.images.exr_header import MOST_HEADER, ends_early, header_bytes
 from stss.images.windows import PixelWindow
 from stss_ground.errors import InputError
 from stss_ground.regular_file import require_regular
@@ -108,13 +108,16 @@ def open_image(path: Path) -> Generator[oiio.ImageInput, None, None]:
         raise InputError(f"{path}: expected an .exr or .png file")
     try:
         str(path).encode()
-        if require_regular(path) > MAX_FILE_BYTES:
+        if (size := require_regular(path)) > MAX_FILE_BYTES:
             raise InputError(f"{path}: expected a file of at most {MAX_FILE_BYTES >> 20} MiB")
         with path.open("rb") as file:
             if file.read(len(magic)) != magic:
                 raise InputError(f"{path}: empty, or not the kind of file its name says")
-            if path.suffix.lower() == ".exr" and header_bytes(file) > MOST_HEADER:
-                raise InputError(f"{path}: a header of more than {MOST_HEADER >> 20} MiB")
+            if path.suffix.lower() == ".exr":
+                if header_bytes(file) > MOST_HEADER:
+                    raise InputError(f"{path}: a header of more than {MOST_HEADER >> 20} MiB")
+                if ends_early(file, size):
+                    raise InputError(f"{path}: truncated or corrupt: pixels are missing behind its {size} bytes")
             if path.suffix.lower() == ".png" and not whole_png(file):
                 raise InputError(f"{path}: truncated or corrupt")
     except UnicodeEncodeError:

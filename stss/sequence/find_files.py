@@ -21,6 +21,7 @@ _PATTERN = re.compile(r"(.*?)#+([^#]*)", re.DOTALL)
 _FOREIGN = (r"%0?\d*d|\$F\d?|<F\d?>|<frame>|@+|\*", r"\[\d+-\d+\]|\{\d+\.\.\d+\}|\d+-\d+", r"\d+(?=\D*$)")
 """How other programs write the frame number (Nuke, FFmpeg, Houdini, Arnold, V-Ray, RV, shells), or a range; then one frame's own."""
 _DIGIT = re.compile(r"\d")
+_PICTURES = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".mp4", ".mov", ".mkv"}
 _FRACTION = re.compile(r"(.*[^\dvV]|)(\d+)\.", re.DOTALL)
 """The part before the digits of ``NAME.0001.5``; ``v1.0001`` is a version."""
 
@@ -110,7 +111,9 @@ def find_frames(path: Path, endings: Collection[str]) -> Frames:
             raise InputError(f"{file.path}: the same frame as {other.name}")
     if not by_prefix:
         kinds = "NAME.0001.exr" if "" in endings else f"NAME{_list_endings(endings)}.0001.exr"
-        raise InputError(f"{path}: no frames; expected files named like {kinds}{_fractions(files)}{_below(folder)}")
+        raise InputError(
+            f"{path}: no frames; expected files named like {kinds}{_fractions(files)}{_below(folder)}{_pictures(folder)}"
+        )
     if len(by_prefix) > 1:
         stems = ", ".join(name or "(no name)" for name in sorted(by_prefix))
         raise InputError(
@@ -140,6 +143,15 @@ def _below(folder: Path) -> str:
         for each in sorted(folder.iterdir()):
             if each.is_dir() and any(file.suffix.lower() == ".exr" for file in each.iterdir()):
                 return f"; its folder {each.name} has EXR files: give that one, or put all frames of a shot into one folder"
+    return ""
+
+
+def _pictures(folder: Path) -> str:
+    """A note where the folder has images of other kinds; else nothing."""
+    with suppress(OSError):
+        kinds = sorted({file.suffix for file in folder.iterdir()} & _PICTURES)
+        if kinds:
+            return f"; {', '.join(kinds)} hold colour alone, and stss needs motion, depth and more: write OpenEXR"
     return ""
 
 

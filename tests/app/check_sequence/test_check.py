@@ -293,6 +293,16 @@ def test_the_other_eye_is_named(write_frames, tmp_path):
     assert not [text for text in texts(check(folder, SequenceOptions("stss")), "warning") if "views" in text]
 
 
+def test_a_copy_that_was_stopped_is_named_though_few_frames_are_read(write_frames):
+    folder = write_frames(range(1, 33), size=(128, 128))
+    for number in (5, 20):
+        path = folder / f"seq.{number:04d}.exr"
+        path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    lines = " ".join(texts(check(folder, SequenceOptions("stss")), "error"))
+    for name in ("seq.0005.exr", "seq.0020.exr"):
+        assert f"{name}: truncated or corrupt: pixels are missing behind its" in lines
+
+
 def test_frames_and_files_that_do_not_fit(write_frames, tmp_path):
     folder = write_frames([1, 2, 3])
     assert "no frames from (8, 9)" in texts(check(folder, SequenceOptions("stss"), frames=(8, 9)), "error")[0]

@@ -3,11 +3,14 @@
 import struct
 import subprocess
 import sys
+from contextlib import closing
 
 import numpy as np
+import OpenImageIO as oiio  # noqa: N813
 import pytest
 
 from stss.images import read_write as images
+from stss.images.headers import read_header
 from stss.quality.metrics import to_8bit
 from stss_ground.errors import InputError
 from tests.app.conftest import write_parts
@@ -92,6 +95,22 @@ def test_no_truncated_file_is_read_and_nothing_is_printed(tmp_path, suffix):
     process = subprocess.run([sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True, check=False)
     assert (process.stdout, process.stderr, process.returncode) == ("", "", 0)
     assert len(lengths) > 50
+
+
+@pytest.mark.parametrize("order", ["increasingY", "decreasingY", "randomY"])
+@pytest.mark.parametrize("tile", [0, 16])
+def test_a_file_that_ends_early_is_seen_by_its_header(tmp_path, order, tile):
+    """In whatever order its chunks lie, so that no pixel need be read; a whole file is none."""
+    path, spec = tmp_path / "a.exr", oiio.ImageSpec(70, 90, 3, "half")
+    spec.attribute("openexr:lineOrder", order)
+    spec.tile_width = spec.tile_height = tile
+    with closing(oiio.ImageOutput.create(str(path))) as file:
+        assert file.open(str(path), spec)
+        assert file.write_image(np.random.default_rng(0).random((90, 70, 3), np.float32))
+    assert read_header(path).size == (90, 70)
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    with pytest.raises(InputError, match=r"a\.exr: truncated or corrupt: pixels are missing behind its"):
+        read_header(path)
 
 
 def test_a_part_of_a_picture_has_nothing_around_it(tmp_path):

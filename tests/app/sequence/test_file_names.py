@@ -62,6 +62,14 @@ def test_a_path_of_windows_is_told():
         find_frames(Path(r"shots\a\lr"), [""])
 
 
+def test_a_folder_of_pictures_is_told(tmp_path):
+    (tmp_path / "seq.0001.png").touch()
+    with pytest.raises(
+        InputError, match=r"no frames; .*; \.png hold colour alone, and stss needs motion, depth and more: write Open"
+    ):
+        find_frames(tmp_path, [""])
+
+
 def test_a_folder_of_folders_is_told(tmp_path):
     """One for each frame, as some farms leave them, or the folder above."""
     (tmp_path / "0001").mkdir()
