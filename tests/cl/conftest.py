@@ -22,21 +22,9 @@ the units have smaller ones; so frames of all sizes have the same kernels, and e
 
 
 class LikeGpu(discovery.Device):
-    """A processor that is treated as a GPU.
-
-    ``make test`` builds its programs without optimisation, a quarter of the time: a GPU has another compiler.
-    """
+    """A processor that is treated as a GPU."""
 
     compute_units = UNITS
-    optimises = True
-
-    @property
-    def compiler_options(self):
-        return super().compiler_options if self.optimises else UNOPTIMISED
-
-
-def pytest_configure(config):
-    LikeGpu.optimises = config.option.markexpr != "not thorough"
 
 
 @pytest.fixture(scope="session", params=CLASSES)

@@ -236,7 +236,7 @@ def test_an_empty_name_is_not_the_current_folder(tmp_path, monkeypatch, names, c
 def test_overwrite_removes_nothing_before_the_new_frames_are_there(out, demo, tmp_path):
     """A frame in the middle cannot be read: the frames before it are new, the frames behind it are from the earlier run."""
     frames = shutil.copytree(demo / "frames", tmp_path / "frames")
-    (frames / "demo.0002.exr").write_bytes((frames / "demo.0002.exr").read_bytes()[:3000])
+    (frames / "demo.0002.exr").write_bytes((frames / "demo.0002.exr").read_bytes()[:-10])  # its header does not tell
     before = contents(out)
     refused(call("run", frames, "-o", out, "--overwrite", "--depth", "clip", *PLAIN), "demo.0002.exr")
     after = contents(out)

@@ -157,7 +157,7 @@ def test_png_is_display_referred(frames, plain, tmp_path):
 
 def test_a_bad_frame_stops_the_run_at_its_turn_or_is_left_out(changeable, tmp_path):
     bad = demo_path(changeable, 4)
-    bad.write_bytes(bad.read_bytes()[:2000])
+    bad.write_bytes(bad.read_bytes()[:-10])  # its header does not tell
     run = ["run", changeable, *PLAIN, "-o"]
     refused(stss(*run, tmp_path / "stopped"), bad)
     assert names(tmp_path / "stopped") == [f"frame.000{n}.exr" for n in range(4)]
