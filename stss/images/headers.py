@@ -106,6 +106,7 @@ def open_image(path: Path) -> Generator[oiio.ImageInput, None, None]:
     magic = _MAGIC.get(path.suffix.lower())
     if magic is None:
         raise InputError(f"{path}: expected an .exr or .png file")
+    stops = False
     try:
         str(path).encode()
         if (size := require_regular(path)) > MAX_FILE_BYTES:
@@ -116,8 +117,7 @@ def open_image(path: Path) -> Generator[oiio.ImageInput, None, None]:
             if path.suffix.lower() == ".exr":
                 if header_bytes(file) > MOST_HEADER:
                     raise InputError(f"{path}: a header of more than {MOST_HEADER >> 20} MiB")
-                if ends_early(file, size):
-                    raise InputError(f"{path}: truncated or corrupt: pixels are missing behind its {size} bytes")
+                stops = ends_early(file, size)
             if path.suffix.lower() == ".png" and not whole_png(file):
                 raise InputError(f"{path}: truncated or corrupt")
     except UnicodeEncodeError:
@@ -130,6 +130,8 @@ def open_image(path: Path) -> Generator[oiio.ImageInput, None, None]:
     if image is None:
         raise InputError(f"{path}: header cannot be read: {last_error(oiio)}")
     try:
+        if stops:  # said of a sound header alone, since a damaged one does not tell where pixels lie
+            raise InputError(f"{path}: truncated or corrupt: pixels are missing behind its {size} bytes")
         yield image
     finally:
         image.close()

@@ -108,8 +108,12 @@ def test_a_file_that_ends_early_is_seen_by_its_header(tmp_path, order, tile):
         assert file.open(str(path), spec)
         assert file.write_image(np.random.default_rng(0).random((90, 70, 3), np.float32))
     assert read_header(path).size == (90, 70)
-    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
     with pytest.raises(InputError, match=r"a\.exr: truncated or corrupt: pixels are missing behind its"):
+        read_header(path)
+    path.write_bytes(whole[:100])  # within the header, which tells nothing of pixels
+    with pytest.raises(InputError, match=r"a\.exr: header cannot be read"):
         read_header(path)
 
 
