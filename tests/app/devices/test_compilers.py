@@ -4,12 +4,16 @@ import os
 import subprocess
 import sys
 import time
+from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
 
+import pyopencl as cl
 import pytest
 
-from stss.devices import child, compile_ahead
-from stss.devices.compile_ahead import compilers, idle_processors
+from stss.devices import child, verdicts
+from stss.devices.compilers import COMMAND, MOST, compilers, idle_processors
+from stss.devices.verdicts import Verdict, verdict
 from stss.weights.file import REALTIME
 
 NETWORK = {"winograd", "winograd_image", "prepare_newest", "arrive", "upsample_corners"}
@@ -27,7 +31,7 @@ def test_the_self_test_finds_the_kernels(device, tmp_path, monkeypatch):
         pytest.skip("not PoCL on a processor")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     for command in (
-        (*compile_ahead.COMMAND, device.name, REALTIME, "0.4"),
+        (*COMMAND, device.name, REALTIME, "0.4"),
         (sys.executable, "-m", "stss.devices.selftest", device.name, REALTIME),
     ):
         before = compiled(tmp_path)
@@ -54,10 +58,26 @@ def test_they_end_with_the_self_test(tmp_path):
 
 def test_busy_processors_compile_nothing(monkeypatch):
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: range(8), raising=False)
-    for running, idle in ((1, 7), (3, 5), (8, 0), (99, 0)):
+    for running, idle in ((1, 3), (6, 2), (8, 0), (99, 0)):
         monkeypatch.setattr(Path, "read_text", lambda self, running=running: f"0.50 1.00 2.00 {running}/300 1234\n")
         assert idle_processors() == idle
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: range(64), raising=False)
     assert idle_processors() == 0
     monkeypatch.setattr(Path, "read_text", lambda self: "nothing that is known")
-    assert idle_processors() == compile_ahead.MOST
+    assert idle_processors() == MOST
+
+
+@pytest.mark.parametrize(("count", "outcomes"), [(1, ["failed", "passed"]), (1, ["passed"]), (0, ["failed"])])
+def test_a_fault_counts_if_the_device_has_it_alone(monkeypatch, tmp_path, count, outcomes):
+    """Other processes may disturb a driver; where there were none, nothing is tested twice."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(verdicts, "idle_processors", lambda: count)
+    monkeypatch.setattr(verdicts, "compilers", lambda *_: nullcontext())
+    left = list(outcomes)
+    monkeypatch.setattr(verdicts, "run_selftest", lambda *_, **__: Verdict(left.pop(0)))
+    handle = SimpleNamespace(
+        platform=SimpleNamespace(name="Portable Computing Language", version="OpenCL 3.0"), name="cpu", version="", driver_version="7",
+        type=cl.device_type.CPU,
+    )  # fmt: skip
+    assert verdict("Portable Computing Language: cpu", handle).outcome == outcomes[-1]
+    assert not left
