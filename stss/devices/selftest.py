@@ -24,7 +24,7 @@ from stss.devices.trial import SIZE, trial_weights
 from stss.weights.file import REALTIME
 from stss_cl.device.discovery import Device, DeviceError, open_device
 from stss_cl.device.launch import Kernel
-from stss_cl.device.program import build
+from stss_cl.device.program import program_for
 from stss_cl.image_space.stages import ImageStages
 from stss_cl.skip.arrival import Arrival
 from stss_cl.skip.stream import Stream
@@ -198,7 +198,7 @@ def gflops(device: Device) -> float:
     """Speed of a convolution's inner loop, the best of three; the work grows until it takes 10 ms."""
     steps = 64
     weights = _upload(device, np.ones((steps, 8), np.float32))
-    kernel = Kernel(build(device, "selftest.cl", flags="-cl-mad-enable"), "speed", {"weights": weights, "steps": steps})
+    kernel = Kernel(program_for(device, "selftest.cl", flags="-cl-mad-enable"), "speed", {"weights": weights, "steps": steps})
     best, took, items = 0.0, 0.0, 64
     while took < 0.01 and items < 2**22:
         out = cl.Buffer(device.context, cl.mem_flags.WRITE_ONLY, items * 32)
@@ -241,7 +241,7 @@ def _launch(
 ) -> None:
     """Run a kernel of ``selftest.cl`` on arrays in and out, and numbers."""
     buffers = {name: _upload(device, array) for name, array in (inputs | outputs).items()}
-    Kernel(build(device, "selftest.cl"), name, {**buffers, **numbers}).enqueue(device.queue, size, group)
+    Kernel(program_for(device, "selftest.cl"), name, {**buffers, **numbers}).enqueue(device.queue, size, group)
     for argument, array in outputs.items():
         cl.enqueue_copy(device.queue, array, buffers[argument])
 

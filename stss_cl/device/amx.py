@@ -14,7 +14,7 @@ import pyopencl as cl
 from stss_cl.device.buffers import FLAGS, constant, to_bfloat16
 from stss_cl.device.discovery import Device, Properties
 from stss_cl.device.launch import Kernel
-from stss_cl.device.program import build
+from stss_cl.device.program import program_for
 from stss_cl.device.proof import are_right
 from stss_ground.machine import cpu_flags
 
@@ -60,7 +60,7 @@ def product_is_right(device: Device, *, emulate: bool) -> bool:
     bias = random.normal(size=16).astype(np.float32)
     got = np.empty((16, 16), np.float32)
     output = cl.Buffer(device.context, FLAGS.WRITE_ONLY, got.nbytes)
-    program = build(device, "matrix_amx.cl", {"EMULATE": emulate})
+    program = program_for(device, "matrix_amx.cl", {"EMULATE": emulate})
     inputs = {name: constant(device, array) for name, array in {"a": a, "b": b, "bias": bias}.items()}
     Kernel(program, "matrix_amx", {**inputs, "sums": output}).enqueue(device.queue, (1,), (1,))
     cl.enqueue_copy(device.queue, got, output)

@@ -13,7 +13,7 @@ from stss_cl.device import amx
 from stss_cl.device.buffers import FLAGS, constant, storage
 from stss_cl.device.discovery import Device, Properties
 from stss_cl.device.launch import Kernel
-from stss_cl.device.program import build
+from stss_cl.device.program import program_for
 from stss_cl.device.proof import are_right
 from stss_ground.machine import cpu_flags
 
@@ -50,7 +50,7 @@ def conversions_are_right(device: Device, kind: str | None) -> bool:
     values = np.concatenate([positive, -positive]).astype(np.float32)
     values = np.pad(values, (0, -values.size % 8))
     narrowed, widened = np.empty(values.shape, np.uint16), np.empty(values.shape, np.float32)
-    program = build(device, "convert_half.cl", {"STORED": "HALF", "CONVERTS": kind})
+    program = program_for(device, "convert_half.cl", {"STORED": "HALF", "CONVERTS": kind})
     results = [cl.Buffer(device.context, FLAGS.READ_WRITE, array.nbytes) for array in (narrowed, widened)]
     arguments = {"values": constant(device, values), "narrowed": results[0], "widened": results[1]}
     Kernel(program, "convert_half", arguments).enqueue(device.queue, (values.size // 8,), None)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from stss_cl.device.buffers import FLAGS, constant
 from stss_cl.device.discovery import Device, Properties
 from stss_cl.device.launch import Kernel
-from stss_cl.device.program import build
+from stss_cl.device.program import program_for
 from stss_cl.device.proof import are_right
 
 LANES, UNIT, PARTS, HELD = 32, 16, 4, 2
@@ -75,7 +75,7 @@ def _product_is_right(device: Device) -> bool:
     got = np.empty((WAVES, *want.shape), np.float32)
     output = cl.Buffer(device.context, FLAGS.WRITE_ONLY, got.nbytes)
     inputs = constant(device, np.ascontiguousarray(pixels.reshape(UNIT, 2, 8).swapaxes(0, 1)))
-    program = build(device, "matrix.cl", {"STORED": "HALF", "EMULATE": are_emulated(device)})
+    program = program_for(device, "matrix.cl", {"STORED": "HALF", "EMULATE": are_emulated(device)})
     size = LANES, WAVES
     arguments = {"pixels": inputs, "weight": constant(device, arrange(weight)), "d": output}
     Kernel(program, "matrix", arguments).enqueue(device.queue, size, size)

@@ -80,7 +80,7 @@ _programs: WeakKeyDictionary[Device, dict[tuple[str, str], Program]] = WeakKeyDi
 """Kept by device, not by context: programs hold their context, and would keep themselves alive."""
 
 
-def build(device: Device, file: str, options: Mapping[str, object] | None = None, flags: str = "") -> Program:
+def program_for(device: Device, file: str, options: Mapping[str, object] | None = None, flags: str = "") -> Program:
     """The program of ``kernels/file`` for ``device``; the same file with the same options is built once, when it is needed.
 
     Args:

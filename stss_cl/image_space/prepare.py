@@ -17,7 +17,7 @@ from stss_cl.device.discovery import Device
 from stss_cl.device.grid import ceil_div, grid
 from stss_cl.device.launch import Arguments, Kernel, Launch
 from stss_cl.device.parts import make_zeros
-from stss_cl.device.program import Program, build, marking
+from stss_cl.device.program import Program, marking, program_for
 from stss_cl.image_space.frame_planes import MOST_STEPS, Source, Sources, check_steps, planes, upload
 from stss_cl.image_space.stages import hole_options, program
 from stss_ref.constants import Gather, HoleFill, HoleTest
@@ -134,7 +134,7 @@ class Prepare:
             "RESHADE": self._reshades,
         }
         frame = program(self.device, "frame.cl", frame_options)
-        eighth = build(self.device, "downsample_8.cl", {"MASK": "uchar", **options})
+        eighth = program_for(self.device, "downsample_8.cl", {"MASK": "uchar", **options})
         changes = inputs.changes if marks else None
         dirty, maps, eighth_map = (None, None, None) if changes is None else (self.dirty, changes.whole, changes.buffers[2])
         size = {"height": height, "width": width}

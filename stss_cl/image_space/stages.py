@@ -18,7 +18,7 @@ from numpy.typing import DTypeLike, NDArray
 from stss_cl.device.discovery import Device
 from stss_cl.device.grid import grid
 from stss_cl.device.launch import Kernel
-from stss_cl.device.program import Program, build
+from stss_cl.device.program import Program, program_for
 from stss_ref.arrays import ArrayError, require_dtype, require_finite, require_shape
 from stss_ref.constants import EARLIER_SHARE, Gather, HoleLimits, HoleTest
 
@@ -33,7 +33,7 @@ def hole_options(test: HoleTest) -> Mapping[str, object]:
 
 def program(device: Device, file: str, options: Mapping[str, object] | None = None) -> Program:
     """The program of an image-space ``file``, with correctly rounded division and roots if the device has them."""
-    return build(device, file, options, "-cl-fp32-correctly-rounded-divide-sqrt" if device.correctly_rounded_divide else "")
+    return program_for(device, file, options, "-cl-fp32-correctly-rounded-divide-sqrt" if device.correctly_rounded_divide else "")
 
 
 def accumulate_program(device: Device) -> Program:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from stss_cl.device.buffers import Padded
 from stss_cl.device.discovery import Device
 from stss_cl.device.launch import Arguments, Kernel, Launch
-from stss_cl.device.program import build, marking
+from stss_cl.device.program import marking, program_for
 from stss_cl.network.tiles import Maps, TileList, Tiling, whole
 
 FAST = "-cl-mad-enable"
@@ -121,4 +121,4 @@ def layer(
 def _kernel(device: Device, source: KernelSource, arguments: Arguments) -> Kernel:
     """The kernel with its arguments set; it marks changes if it is given a change map."""
     marks = marking(device, arguments["changes"] is not None) if "changes" in arguments else {}
-    return Kernel(build(device, source.file, {**source.options, **marks}, source.flags), source.kernel, arguments)
+    return Kernel(program_for(device, source.file, {**source.options, **marks}, source.flags), source.kernel, arguments)

@@ -13,7 +13,7 @@ from stss_cl.device.conversion import storage_options
 from stss_cl.device.discovery import Device
 from stss_cl.device.grid import grid
 from stss_cl.device.launch import Kernel
-from stss_cl.device.program import build, marking
+from stss_cl.device.program import marking, program_for
 from stss_cl.network.layer import FAST
 
 
@@ -23,8 +23,8 @@ class PackInputs:
     def __init__(self, device: Device, inputs: Inputs, height: int, width: int):
         self._device, self._inputs = device, inputs
         options = storage_options(device, inputs.input.dtype)
-        program = build(device, "encoder.cl", {**options, "STREAM": device.is_pocl_processor, "ROW_AT_ONCE": device.is_cpu})
-        eighth = build(device, "downsample_8.cl", {"MASK": "float", **options, **marking(device, marks=False)}, FAST)
+        program = program_for(device, "encoder.cl", {**options, "STREAM": device.is_pocl_processor, "ROW_AT_ONCE": device.is_cpu})
+        eighth = program_for(device, "downsample_8.cl", {"MASK": "float", **options, **marking(device, marks=False)}, FAST)
         self._bad = cl.Buffer(device.context, FLAGS.READ_WRITE | FLAGS.COPY_HOST_PTR, hostbuf=np.zeros(2, np.int32))
         size = {"height": height, "width": width}
         full = {

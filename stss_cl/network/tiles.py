@@ -14,7 +14,7 @@ from stss_cl.device.buffers import constant
 from stss_cl.device.discovery import Device
 from stss_cl.device.grid import ceil_div, grid
 from stss_cl.device.launch import Kernel, Launch
-from stss_cl.device.program import Program, build
+from stss_cl.device.program import Program, program_for
 
 SIDE = 4
 """Side of most tiles; pixels. Kernels and change maps count in it: it is no choice of tuning."""
@@ -106,4 +106,4 @@ def find_tiles(device: Device, tiling: Tiling, maps: Maps, to: TileList) -> Laun
 
 def finder(device: Device) -> Program:
     """The program of the kernel of ``find_tiles``; built once."""
-    return build(device, "tile_list.cl", {"SPAN_PIXELS": PIXELS} if device.is_cpu else {})
+    return program_for(device, "tile_list.cl", {"SPAN_PIXELS": PIXELS} if device.is_cpu else {})

@@ -13,7 +13,7 @@ from stss_cl.device.discovery import Device
 from stss_cl.device.grid import ceil_div
 from stss_cl.device.launch import Kernel
 from stss_cl.device.parts import Parts
-from stss_cl.device.program import build
+from stss_cl.device.program import program_for
 from stss_cl.device.staging import after, staging
 
 Tiles = NDArray[np.bool_]
@@ -42,12 +42,12 @@ class Arrival:
         self._marks = Parts(device, (16, rows * columns))  # bad, differs
         if device.is_cpu:
             self._queue, self._groups = device.queue, ((ceil_div(columns, SPAN), rows), (1, 1))
-            program = build(device, "changed_tiles.cl", {"SPAN": SPAN, "PREFETCH": device.takes_prefetch})
+            program = program_for(device, "changed_tiles.cl", {"SPAN": SPAN, "PREFETCH": device.takes_prefetch})
         else:
             # In the queue of arriving planes: the host waits for the result, and not for the previous frame.
             self._queue, self._groups = staging(device).uploads, ((ITEMS * ceil_div(columns, ACROSS), rows), (ITEMS, 1))
             after(self._queue, device.queue)  # which clears them
-            program = build(device, "arrive.cl")
+            program = program_for(device, "arrive.cl")
         bad, differs = self._marks.buffers
         self._kernel = Kernel(program, "arrive", {"bad": bad, "differs": differs, "height": height, "width": width})
         self._unread = False

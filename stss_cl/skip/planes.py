@@ -18,7 +18,7 @@ from stss_cl.device.buffers import Plain, incoming, on_device
 from stss_cl.device.discovery import Device
 from stss_cl.device.grid import ceil_div
 from stss_cl.device.launch import Kernel
-from stss_cl.device.program import build
+from stss_cl.device.program import program_for
 from stss_cl.device.staging import after, so_far, staging
 from stss_ref.arrays import require_dtype, require_shape
 
@@ -100,7 +100,7 @@ class Planes:
     @cached_property
     def _widen(self) -> Kernel:
         """Built for the first plane of half."""
-        return Kernel(build(self._device, "widen.cl"), "widen")
+        return Kernel(program_for(self._device, "widen.cl"), "widen")
 
 
 def _is_half(array: Plain) -> bool:

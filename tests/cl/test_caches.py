@@ -42,7 +42,7 @@ def cache_home(tmp_path, monkeypatch):
 def build_anew(device):
     """Build a program for the same device, for which nothing is built yet."""
     opened = open_device(device.name)
-    assert program.build(opened, "selftest.cl").handle
+    assert program.program_for(opened, "selftest.cl").handle
 
 
 @pytest.fixture

@@ -133,7 +133,7 @@ def swapped(*places):
     ("name", "fault"),
     [
         ("constant", lambda device, array: constant(device, array * 2)),
-        ("build", not_built),
+        ("program_for", not_built),
         ("arrange", swapped(..., [1, 0])),
         ("arrange", swapped(..., [1, 0, *range(2, 16)], slice(None), slice(None))),
     ],

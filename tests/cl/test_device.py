@@ -15,7 +15,7 @@ from stss_cl.device import discovery as devices
 from stss_cl.device import program
 from stss_cl.device.discovery import DeviceError, matching, open_device
 from stss_cl.device.launch import Kernel
-from stss_cl.device.program import build
+from stss_cl.device.program import program_for
 
 DEMO = "kernel void three(global float *out) { out[get_global_id(0)] = THREE; }\n"
 
@@ -49,7 +49,7 @@ def machine(monkeypatch):
 def run_three(device):
     out = np.zeros(5, np.float32)
     buffer = cl.Buffer(device.context, cl.mem_flags.WRITE_ONLY, out.nbytes)
-    Kernel(build(device, "demo.cl", {"THREE": 3}), "three", {"out": buffer}).enqueue(device.queue, out.shape, None)
+    Kernel(program_for(device, "demo.cl", {"THREE": 3}), "three", {"out": buffer}).enqueue(device.queue, out.shape, None)
     cl.enqueue_copy(device.queue, out, buffer)
     assert (out == 3).all()
 
@@ -72,7 +72,7 @@ def test_build_options_of_others_reach_no_kernel(kernels, device, monkeypatch):
 def test_programs_go_with_their_device(kernels, device):
     """A process that opens a device for each film grew by all that PyOpenCL and the driver know of its programs."""
     opened = open_device()
-    built = build(opened, "demo.cl", {"THREE": 3})
+    built = program_for(opened, "demo.cl", {"THREE": 3})
     assert built.handle
     program = weakref.ref(built)
     del opened, built
@@ -116,7 +116,7 @@ def test_a_graphics_processor_comes_first_and_a_simulator_is_none(machine, monke
 def test_a_kernel_that_does_not_build_shows_its_line(device, kernels):
     (kernels / "broken.cl").write_text("kernel void f(global float *a)\n{\n    a[0] = nowhere;\n}\n")
     with pytest.raises(DeviceError, match="nowhere") as error:
-        _ = build(device, "broken.cl", {"COUNT": 1, "FLAG": True, "NONE": None, "NO": False}).handle
+        _ = program_for(device, "broken.cl", {"COUNT": 1, "FLAG": True, "NONE": None, "NO": False}).handle
     assert "\n" not in str(error.value)
     options = " ".join(filter(None, ["-cl-std=CL1.2 -D COUNT=1 -D FLAG", device.compiler_options, "-cl-denorms-are-zero"]))
     assert f"kernels/broken.cl ({options})" in str(error.value)
@@ -153,7 +153,7 @@ def test_a_fork_is_refused(device, kernels, use):
     run_three(device)
     actions = {
         "queue": lambda: device.queue,
-        "build": lambda: build(device, "demo.cl", {"THREE": 3}).handle,
+        "build": lambda: program_for(device, "demo.cl", {"THREE": 3}).handle,
         "open": open_device,
     }
     words = forked(actions[use])

@@ -48,7 +48,7 @@ def kernels(tmp_path, monkeypatch):
 def scale(request, processor, kernels):
     """The program of a kernel with its arguments in one order or another."""
     (kernels / "scale.cl").write_text(SCALE.replace("ARGUMENTS", request.param))
-    return program.build(processor, "scale.cl")
+    return program.program_for(processor, "scale.cl")
 
 
 @pytest.fixture
@@ -116,7 +116,7 @@ def test_a_driver_need_not_know_the_names(processor, kernels, buffers, monkeypat
     for device in (processor, anew(processor)):
         values = {name: cl.Buffer(device.context, cl.mem_flags.READ_WRITE, 16) for name in buffers}
         cl.enqueue_copy(device.queue, values["in"], np.arange(4, dtype=np.float32))
-        kernel = Kernel(program.build(device, "scale.cl"), "scale", {**values, "first": 0, "by": 2, "count": 0})
+        kernel = Kernel(program.program_for(device, "scale.cl"), "scale", {**values, "first": 0, "by": 2, "count": 0})
         assert scaled(device, kernel, values["out"]) == [0, 2, 4, 6]
     assert len(list(kernels.glob("cache/stss/binaries/*"))) == stored
 
@@ -133,7 +133,7 @@ def test_a_driver_need_not_know_the_names(processor, kernels, buffers, monkeypat
 )
 def test_names_are_those_of_the_compiler(processor, file, options):
     """Of the files whose arguments stand in groups or depend on options; numbers and structs have the same type."""
-    handle = program.build(processor, file, options, "-cl-kernel-arg-info -cl-opt-disable").handle
+    handle = program.program_for(processor, file, options, "-cl-kernel-arg-info -cl-opt-disable").handle
     for kernel in handle.all_kernels():
         queries = cl.kernel_arg_info.NAME, cl.kernel_arg_info.TYPE_NAME
         compiled = [[kernel.get_arg_info(i, what).strip("\0") for what in queries] for i in range(kernel.num_args)]
@@ -146,7 +146,7 @@ def test_names_are_those_of_the_compiler(processor, file, options):
 def test_a_declaration_that_is_not_understood_is_one_line(processor, kernels):
     (kernels / "f.cl").write_text("#define TWO global float *a, global float *b\nkernel void f(TWO, const int c) {}\n")
     with pytest.raises(TypeError, match="kernel f: it takes 3 arguments, read 2 in its source"):
-        Kernel(program.build(processor, "f.cl"), "f").enqueue(processor.queue, (1,), (1,))
+        Kernel(program.program_for(processor, "f.cl"), "f").enqueue(processor.queue, (1,), (1,))
 
 
 def test_a_frames_kernels_may_take_their_arguments_in_any_order(gpu, unoptimised, tmp_path, monkeypatch):
