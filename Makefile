@@ -36,7 +36,7 @@ check: $(VENV)/.check
 	$(BIN)/check-jsonschema --builtin-schema vendor.github-workflows .github/workflows/ci.yml
 	$(BIN)/check-jsonschema --builtin-schema vendor.citation-file-format CITATION.cff
 	$(BIN)/python tests/check_text.py
-	$(BIN)/pyright
+	$(BIN)/pyrefly check
 
 bench: $(VENV)/.bench
 	$(BIN)/stss bench --json bench.json

@@ -24,7 +24,7 @@ class DeviceError(UserError):
         super().__init__(message)
         self.log = log
         if log and hasattr(self, "add_note"):  # Python 3.11: shown in a traceback, not part of the message
-            self.add_note(log)  # pyright: ignore[reportAttributeAccessIssue]
+            self.add_note(log)
 
 
 class PipeClosedError(Exception):

@@ -39,7 +39,7 @@ class ReadPath(_Place):
         return [value]
 
 
-class ReadName(click.ParamType):  # pyright: ignore[reportMissingTypeArgument]
+class ReadName(click.ParamType):  # pyrefly: ignore[implicit-any-type-argument]
     """A file that is read, or the name of one that comes with stss."""
 
     name = "text"
@@ -84,7 +84,7 @@ class Number(click.FloatRange):
         return number
 
 
-class Names(click.ParamType):  # pyright: ignore[reportMissingTypeArgument]
+class Names(click.ParamType):  # pyrefly: ignore[implicit-any-type-argument]
     """``a,b,c``; empty for none."""
 
     name = "a,b"
@@ -94,7 +94,7 @@ class Names(click.ParamType):  # pyright: ignore[reportMissingTypeArgument]
         return value if isinstance(value, tuple) else tuple(name for name in str(value).split(",") if name)
 
 
-class Size(click.ParamType):  # pyright: ignore[reportMissingTypeArgument]
+class Size(click.ParamType):  # pyrefly: ignore[implicit-any-type-argument]
     """``WIDTHxHEIGHT``, as (height, width)."""
 
     name = "WxH"

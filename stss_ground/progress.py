@@ -50,7 +50,7 @@ def show_progress(
         while not ended.wait(every):
             took = time.monotonic() - start
             rate = count / took
-            pace = f", {rate:.2f} {unit}/s, {timedelta(seconds=round((total - count) / rate))} left" if count else ""
+            pace = f", {rate:.2f} {unit}/s, {timedelta(seconds=round((total - count) / rate))} left" if count > 0 else ""
             # With the elapsed time no two lines are equal: a reader of the log sees that work goes on.
             line = f"{count} of {total} {unit} in {timedelta(seconds=round(took))}{pace}" + (f": {label}" if label else "")
             console.print(line, soft_wrap=True, markup=False, highlight=False)

@@ -219,7 +219,7 @@ def check(tensors: Weights | Mapping[str, NDArray[Any]]) -> Weights:
         WeightsError: a tensor is missing, not of this network, misshapen, not float32 in the machine's byte order, or
             holds NaN or infinity. The message names it.
     """
-    if not isinstance(tensors, (Weights, Mapping)):  # pyright: ignore[reportUnnecessaryIsInstance]
+    if not isinstance(tensors, (Weights, Mapping)):
         raise WeightsError(f"weights: expected {len(TENSORS)} tensors by name, got {type(tensors).__name__}")
     require_names(tensors)
     arrays = {name: _check_one(name, tensors[name]) for name in TENSORS}
@@ -247,7 +247,7 @@ def _more(names: list[str]) -> str:
 
 
 def _check_one(name: str, tensor: NDArray[Any]) -> Array:
-    if not isinstance(tensor, np.ndarray):  # pyright: ignore[reportUnnecessaryIsInstance]
+    if not isinstance(tensor, np.ndarray):
         raise WeightsError(f"{name}: expected an array, got {type(tensor).__name__}")
     require_shape(name, tensor.shape)
     if tensor.dtype != np.float32:

@@ -27,7 +27,7 @@ class Muon(torch.optim.Optimizer):
         super().__init__(list(parameters), {"lr": rate})
 
     @torch.no_grad()
-    def step(self, closure: None = None) -> None:  # pyright: ignore[reportIncompatibleMethodOverride]
+    def step(self, closure: None = None) -> None:
         """Move every parameter that has a gradient."""
         for group in self.param_groups:
             alike: dict[tuple[int, int], tuple[list[Tensor], list[Tensor]]] = {}

@@ -107,7 +107,7 @@ class Reach:
         return self.off_x + self.off_y + self.rounded_x + self.rounded_y
 
 
-def reach(motion: Float64, arithmetic: Arithmetic, off: Float64 | float = 0.0) -> Reach:
+def reach(motion: NDArray[Any], arithmetic: Arithmetic, off: Float64 | float = 0.0) -> Reach:
     """``p + floor(motion)`` and ``motion - floor(motion)``, and their errors.
 
     Whole pixels are exact, and so is a fraction that the arithmetic has. Other fractions, of motion between -1 and 0, have an error of
@@ -125,7 +125,7 @@ def reach(motion: Float64, arithmetic: Arithmetic, off: Float64 | float = 0.0) -
     return Reach(at, wrong[..., 0], wrong[..., 1], rounded[..., 0], rounded[..., 1])
 
 
-def sum_error(total: Float64, off: Float64 | float, arithmetic: Arithmetic) -> Float64:
+def sum_error(total: NDArray[Any], off: Float64 | float, arithmetic: Arithmetic) -> Float64:
     """Error that rounding adds to a sum of motions: 0 where the terms are exact and the arithmetic has the sum exactly."""
     exact = (np.broadcast_to(off, total.shape) == 0) & arithmetic.holds(total)
     return np.where(exact, 0, BOUNDS["sum"].roundings * arithmetic.unit * np.abs(total))

@@ -49,5 +49,5 @@ def explain(judge: Judge, body: Body) -> Failure:
         ]
     judge.record = record
     terms = attempt(lambda: terms_at_worst(failure.finding), ())
-    message = "; ".join(filter(None, [failure.finding.message, *words, *faults]))
+    message = "; ".join(text for text in (failure.finding.message, *words, *faults) if text)
     return replace(failure, finding=replace(failure.finding, message=message, terms=terms))

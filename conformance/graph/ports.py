@@ -116,7 +116,7 @@ class PyTorch:
         """See `GraphPort`."""
         with self._torch.inference_mode():
             results = self._module(*(self._torch.from_numpy(inputs[each.name]) for each in self._model.inputs))
-        several = results if isinstance(results, tuple | list) else (results,)
+        several = results if isinstance(results, tuple | list) else (results,)  # pyrefly: ignore[implicit-any-type-argument]
         return {name: tensor.numpy() for name, tensor in zip(self._model.outputs, several, strict=True)}
 
 

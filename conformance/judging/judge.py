@@ -257,12 +257,12 @@ class Judge:
             if len(self._weights) == MOST_WEIGHTS:
                 self._weights.clear()
             converted = weights.convert(self.arithmetic.normal)
-            for version, older in (
-                (5, {"hole_fill": "occlusion_warp"}),
-                (4, {"second_color": "newest"}),
-                (3, {"hole_test": "footprint"}),
-            ):
-                converted = replace(converted, **older) if self.weights_version < version else converted
+            if self.weights_version < 5:
+                converted = replace(converted, hole_fill="occlusion_warp")
+            if self.weights_version < 4:
+                converted = replace(converted, second_color="newest")
+            if self.weights_version < 3:
+                converted = replace(converted, hole_test="footprint")
             self._weights[id(weights)] = weights, shuffle(converted)
         return self._weights[id(weights)][1]
 

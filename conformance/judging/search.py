@@ -19,7 +19,7 @@ from conformance.judging.judge import Body, Judge
 
 Maker = Callable[[np.random.Generator], Any]
 Makers = Sequence[Maker]
-EVERY_CHECK: list[HealthCheck] = [*HealthCheck]  # pyright: ignore[reportAssignmentType]
+EVERY_CHECK: list[HealthCheck] = [*HealthCheck]
 SHRINK_SECONDS = 60.0
 """Most time for making a failing case smaller; seconds."""
 TELL_SECONDS = 5.0

@@ -1,9 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Mistakes in stages motion_chain and warp, and in the code that warp shares with holes and occlusion_warp."""
 
-# Planted faults take the reference's arrays.
-# pyright: reportUnknownLambdaType=false
-
 from __future__ import annotations
 
 from collections.abc import Callable
@@ -22,7 +19,7 @@ FILL = ("occlusion_warp",)
 
 
 def _pixels(motion: Any) -> Any:
-    return np.stack(np.indices(motion.shape[:2])[::-1], axis=-1).astype(motion.dtype)
+    return np.stack([*np.indices(motion.shape[:2])][::-1], axis=-1).astype(motion.dtype)
 
 
 def _times(x: float, y: float) -> Change:

@@ -1,9 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Mistakes of precision: one layer of the network, or all of them, has fewer bits than the rest."""
 
-# Planted faults take the reference's arrays.
-# pyright: reportUnknownLambdaType=false
-
 from __future__ import annotations
 
 from collections.abc import Callable

@@ -1,9 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Mistakes in stage reshade."""
 
-# Planted faults take the reference's arrays.
-# pyright: reportUnknownLambdaType=false
-
 from __future__ import annotations
 
 from collections.abc import Callable

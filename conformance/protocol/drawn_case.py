@@ -93,7 +93,7 @@ def read_drawn(folder: Path) -> tuple[str, Any]:
 def _read(value: Any, folder: Path, arrays: dict[str, AnyArray]) -> Any:
     if not isinstance(value, dict):
         return value
-    ((kind, content),) = value.items()  # pyright: ignore[reportUnknownVariableType]
+    ((kind, content),) = value.items()
     if kind == "array":
         name = str(content)
         if "/" in name or "\\" in name:

@@ -56,7 +56,7 @@ def load_port(
         lacking = [name for name in ("name", "dtype", "stages", "run") if not hasattr(port, name)]
         if lacking:
             raise InputError(f"{spec}: expected a port, got a {type(port).__name__} without {', '.join(lacking)}")
-        options = {"dtype": dtype, "winograd": winograd or None, "weights_version": weights_version}
+        options: dict[str, Any] = {"dtype": dtype, "winograd": winograd or None, "weights_version": weights_version}
         with foreign_code():
             own, stages_there = abilities_of(port), set[str](port.stages())
         abilities = replace(own, **{name: value for name, value in options.items() if value is not None})

@@ -76,9 +76,9 @@ class Server:
         """Stop it, with all that it started."""
         self._session.close()
         self._listener.join(GRACE)
-        for file in (self._process.stdin, self._process.stdout, self._err):
+        for file in filter(None, (self._process.stdin, self._process.stdout, self._err)):
             with suppress(OSError):
-                file.close()  # pyright: ignore[reportOptionalMemberAccess]
+                file.close()
 
     def _exchange(self, job: Path, timeout: float) -> str:
         """The fault; "" if there was none."""

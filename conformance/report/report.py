@@ -43,7 +43,7 @@ def print_results(results: Sequence[TestResult], console: Console) -> None:
         ("cases", "right"),
         ("error / bound", "left"),
     ):
-        table.add_column(name, justify=justify, no_wrap=name != "error / bound")  # pyright: ignore[reportArgumentType]
+        table.add_column(name, justify=justify, no_wrap=name != "error / bound")
     for stage, some in by_stage([r for r in results if r.id not in (JUDGED, REQUIRED)]).items():
         if all(r.outcome == "skipped" for r in some):
             table.add_row(stage, str(len(some)), "-", "-", "the port lacks it")

@@ -34,7 +34,7 @@ MAX_COUNT = 10**6
 """Largest number of frames or repetitions that an option accepts."""
 
 
-class FrameRange(click.ParamType):  # pyright: ignore[reportMissingTypeArgument]
+class FrameRange(click.ParamType):  # pyrefly: ignore[implicit-any-type-argument]
     """``a:b``, both included."""
 
     name = "a:b"
@@ -50,7 +50,7 @@ class FrameRange(click.ParamType):  # pyright: ignore[reportMissingTypeArgument]
         return int(first), int(last)
 
 
-class FrameNumbers(click.ParamType):  # pyright: ignore[reportMissingTypeArgument]
+class FrameNumbers(click.ParamType):  # pyrefly: ignore[implicit-any-type-argument]
     """``a,b,...``, as a sorted tuple."""
 
     name = "a,b,..."

@@ -52,7 +52,7 @@ class LocalWorkers:
 class _BlockedPool(ProcessPoolExecutor):
     """Ctrl-C reaches all processes of a terminal. Workers start with the signal blocked: the writing process ends them."""
 
-    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:  # pyrefly: ignore[bad-override]
         if not hasattr(signal, "pthread_sigmask"):
             return super().submit(fn, *args, **kwargs)
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})

@@ -95,14 +95,14 @@ def require_distinct(where: str, numbers: Array, floats: Array) -> None:
 
 def _size(buffers: Buffers) -> tuple[int, int]:
     depth = buffers.depth
-    if not isinstance(depth, np.ndarray) or depth.ndim != 2 or 0 in depth.shape:  # pyright: ignore[reportUnnecessaryIsInstance]
-        got = depth.shape if isinstance(depth, np.ndarray) else type(depth).__name__  # pyright: ignore[reportUnnecessaryIsInstance]
+    if not isinstance(depth, np.ndarray) or depth.ndim != 2 or 0 in depth.shape:
+        got = depth.shape if isinstance(depth, np.ndarray) else type(depth).__name__
         raise InputError(f"frame {buffers.number}: depth: expected an array (H, W), found {got}")
     return depth.shape[0], depth.shape[1]
 
 
 def _check(where: str, array: Array, shape: tuple[int, ...], plane: _Plane) -> None:
-    if not isinstance(array, np.ndarray):  # pyright: ignore[reportUnnecessaryIsInstance]
+    if not isinstance(array, np.ndarray):
         raise InputError(f"{where}: expected an array {shape}, found {type(array).__name__}")
     if array.dtype.kind not in ("fiub" if where.endswith(": stencil") else "f"):
         kind, hint = (

@@ -115,7 +115,7 @@ def _wide(plane: Array) -> Array:
 class OnArrays(ABC):
     """A backend (``stss.frames.backends.Backend``) that computes every frame from stacked arrays, without earlier results."""
 
-    cost = None
+    cost: None = None
 
     def expect(self, size: tuple[int, int]) -> None:
         """See ``Backend``: nothing needs to be prepared."""

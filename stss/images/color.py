@@ -122,7 +122,7 @@ def same_primaries(a: Iterable[float], b: Iterable[float] = REC709) -> bool:
 
 def transfer(name: str) -> Transfer:
     """Return the transfer of this name; raises InputError for a name that is not in ``TRANSFERS``."""
-    if isinstance(name, str) and name == "hdr":  # pyright: ignore[reportUnnecessaryIsInstance]
+    if isinstance(name, str) and name == "hdr":
         raise InputError(f"transfer: {HDR_IS_GONE}; take srgb")
     require_choice("transfer", name, TRANSFERS)
     return _TRANSFERS[name]

@@ -279,7 +279,7 @@ def _attributes(spec: oiio.ImageSpec) -> dict[str, Value]:
             continue
         if isinstance(value, str | int | float):
             values[name] = value
-        elif isinstance(value, tuple | list | np.ndarray):
+        elif isinstance(value, tuple | list | np.ndarray):  # pyrefly: ignore[implicit-any-type-argument]
             values[name] = tuple(x.item() if isinstance(x, np.generic) else x for x in np.ravel(value))
     return values
 

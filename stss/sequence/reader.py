@@ -8,7 +8,7 @@ from collections.abc import Collection, Iterable, Mapping
 from copy import copy
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
 
@@ -75,7 +75,7 @@ class Sequence:
         if self.canvas == self.display:
             return buffers
         part = self.display.within(self.canvas)
-        planes = {name: plane[part] for name, plane in vars(buffers).items() if isinstance(plane, np.ndarray)}
+        planes: dict[str, Any] = {name: plane[part] for name, plane in vars(buffers).items() if isinstance(plane, np.ndarray)}
         return replace(buffers, **planes, carried={name: plane[part] for name, plane in buffers.carried.items()})
 
     @property

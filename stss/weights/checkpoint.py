@@ -181,7 +181,7 @@ def _refuse(what: str) -> NoReturn:
     raise WeightsError(f"data.pkl asks for {_short(what)}: a checkpoint may hold tensors only; nothing was executed")
 
 
-_Machine: Any = pickle._Unpickler  # type: ignore[attr-defined]  # the machine in Python: its memo grows with the pickle, not with its numbers
+_Machine: Any = pickle._Unpickler  # noqa: SLF001  # the machine in Python: its memo grows with the pickle, not with its numbers
 
 
 class _Reader(_Machine):
@@ -204,7 +204,7 @@ class _Reader(_Machine):
     def persistent_load(self, pid: object) -> _Storage:
         """The description of a storage."""
         match pid:
-            case ("storage", _Global(kind), str(key), str(), int(length)):
+            case ("storage", _Global(kind), str(key), str(), int(length)):  # pyrefly: ignore[bad-match]
                 return _Storage(kind, key, length)
             case _:
                 _refuse("a storage that PyTorch never writes")

@@ -15,7 +15,7 @@ def generate_once() -> None:
     """Change two private settings of PyOpenCL, which has no public ones: ``$PYOPENCL_NO_CACHE`` counts only before its import."""
     # It keeps the code as pickles, which may run code, in a folder that other programs share and that the umask alone protects.
     # It looks at this flag at every call.
-    cl._PYOPENCL_NO_CACHE = True  # pyright: ignore[reportPrivateUsage]
+    cl._PYOPENCL_NO_CACHE = True  # noqa: SLF001
 
     # Without that folder it writes and compiles a module for every kernel object, looks for a free name among those of all the others,
     # and never lets one go. Kernels with the same name and number of arguments get the same code.

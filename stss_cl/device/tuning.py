@@ -225,10 +225,11 @@ def _tuning(table: Table, like: Tuning | None = None) -> Tuning:
         return None if key not in table.rest and (like is not None or key == "winograd") else table.table(key)
 
     winograd, direct = sizes("winograd"), sizes("direct")
+    other = like or Tuning(winograd=None, direct={})
     row = Tuning(
-        winograd={n: _winograd(winograd.table(str(n)), n) for n in OUTPUTS} if winograd else like and like.winograd,
-        direct={n: _direct(direct.table(str(n)), n) for n in OUTPUTS} if direct else like.direct if like else {},
-        local=_local(table.table("local")) if "local" in table.rest else like and like.local,
+        winograd={n: _winograd(winograd.table(str(n)), n) for n in OUTPUTS} if winograd else other.winograd,
+        direct={n: _direct(direct.table(str(n)), n) for n in OUTPUTS} if direct else other.direct,
+        local=_local(table.table("local")) if "local" in table.rest else other.local,
     )
     for each in (table, direct, winograd):
         if each is not None:

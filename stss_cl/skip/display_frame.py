@@ -43,7 +43,7 @@ PLANES = ("color", "motion", "gbuffer", "nov", "stencil", "position")
 
 def require_window(window: Sequence[DisplayFrame]) -> None:
     """Raise ArrayError unless ``window`` is a sequence of display frames, one at least, whose ``nov`` has a size."""
-    if not isinstance(window, Sequence) or not window:  # pyright: ignore[reportUnnecessaryIsInstance]
+    if not isinstance(window, Sequence) or not window:
         raise ArrayError(f"window: expected a sequence of display frames, one at least, got {type(window).__name__}")
     for number, frame in enumerate(window):
         lacking = [name for name in PLANES if not hasattr(frame, name)]

@@ -116,7 +116,7 @@ def print_launches(timings: LaunchTimings, console: Console) -> None:
         table.add_column(column, justify="right", no_wrap=True)
     for each in launches:
         table.add_row(each.name, each.kernel, *_numbers(each))
-    seconds = tuple(map(sum, zip(*(each.seconds for each in launches), strict=True)))
+    seconds = tuple(sum(each) for each in zip(*(each.seconds for each in launches), strict=True))
     whole = LaunchTiming("all", "", seconds, sum(each.products for each in launches), sum(each.bytes for each in launches))
     table.add_row(whole.name, whole.kernel, *_numbers(whole))
     console.print(table, markup=False, highlight=False)

@@ -63,7 +63,7 @@ class OpenCL:
         make: Any = getattr(importlib.import_module("stss_cl"), name)
         self._network = make(setup.weights, device, precision=precision)
         if hasattr(self._network, "timings"):
-            self.timings: Callable[[], dict[str, float]] = self._network.timings
+            self.timings: Callable[[], dict[str, float]] = self._network.timings  # pyrefly: ignore[possibly-uninitialized-attribute]
         self._queue = device.queue
         self._on_device = on_device
         scope = "on the device" if on_device else "with transfers"

@@ -231,7 +231,7 @@ class ExecuTorch(Peer):
         xnnpack = require("executorch.backends.xnnpack.partition.xnnpack_partitioner").XnnpackPartitioner()
         with torch.no_grad():
             program = lower(torch.export.export(Module(), inputs), partitioner=[xnnpack]).to_executorch()
-        require("executorch.extension.pybindings.portable_lib")._unsafe_reset_threadpool(setup.threads)
+        require("executorch.extension.pybindings.portable_lib")._unsafe_reset_threadpool(setup.threads)  # noqa: SLF001
         self._program = require("executorch.runtime").Runtime.get().load_program(program.buffer)
         self._method = self._program.load_method("forward")
         self.details = {

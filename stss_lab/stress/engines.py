@@ -99,14 +99,14 @@ class OpenCLEngine:
         """The layers of the last weights, including those that the image does not need."""
         from stss_cl.network.layers import Layers
 
-        return Layers(self._device, self._weights, height, width, self._precision, every=True)  # pyright: ignore[reportArgumentType]
+        return Layers(self._device, self._weights, height, width, self._precision, every=True)  # pyrefly: ignore[bad-argument-type]
 
     def _for(self, weights: Weights) -> Any:
         from stss_cl.network.network import Network
 
         if self._weights is not weights:
             self._network = None  # frees the old buffers first
-            self._network = Network(weights, self._device, self._precision)  # pyright: ignore[reportArgumentType]
+            self._network = Network(weights, self._device, self._precision)  # pyrefly: ignore[bad-argument-type]
             self._weights = weights
         return self._network
 
