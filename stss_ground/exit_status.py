@@ -51,6 +51,8 @@ def run_guarded(command: click.Command, *mistakes: type[Exception]) -> None:
             _fail(f"{error.filename}: {error.strerror}")
         if error.errno == errno.ENOMEM:
             _fail(_NO_MEMORY)
+        if error.errno == errno.ENOENT:  # the one name that no call is given
+            _fail("the current folder was removed; change to another one")
         _discard(sys.stdout)
         _fail(f"standard output cannot be written: {error.strerror}" if error.errno in _FULL else f"{error.strerror or error}")
     sys.exit(status if isinstance(status, int) else 0)

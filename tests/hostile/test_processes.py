@@ -34,6 +34,14 @@ def test_a_closed_stream_is_no_file(frames, tmp_path):
     assert (process.returncode, process.stdout) == (2, "")
 
 
+def test_a_current_folder_that_was_removed_is_said(frames, tmp_path):
+    (tmp_path / "here").mkdir()
+    words = f"cd here && rmdir ../here && {sys.executable} -m stss run {frames} -o {tmp_path / 'out'} --weights bilinear"
+    environment = {**os.environ, "PYTHONPATH": os.getcwd()}
+    process = subprocess.run(["sh", "-c", words], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    assert (process.returncode, process.stderr) == (2, "stss: the current folder was removed; change to another one\n")
+
+
 def test_little_memory_is_one_line(frames, tmp_path):
     """Beside what OpenEXR's own library prints where memory ends within it."""
 
