@@ -17,7 +17,7 @@ from stss_ground.regular_file import read_regular
 if sys.version_info >= (3, 11):
     import tomllib
 else:
-    import tomli as tomllib  # pyrefly: ignore[missing-import]
+    import tomli as tomllib
 
 
 MAX_BYTES = 64 << 10

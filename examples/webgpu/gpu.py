@@ -92,7 +92,7 @@ def code(file: str) -> str:
 @cache
 def device() -> Any:
     """The best device that there is, with buffers as large as it allows; opened once. RuntimeError where there is none."""
-    import wgpu  # pyrefly: ignore[missing-import]
+    import wgpu
 
     adapter = wgpu.gpu.request_adapter_sync(power_preference="high-performance")
     large = ("max-buffer-size", "max-storage-buffer-binding-size")
