@@ -3,23 +3,42 @@
 
 from __future__ import annotations
 
-import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from conformance.answers.expected import Expected
-from conformance.answers.port_arithmetic import Arithmetic, reach, sum_error, ways
+from conformance.answers.port_arithmetic import Arithmetic, reach, sum_error
 from conformance.tolerance import BOUNDS
-from stss_ref.motion_chain import chain_on, truncated
-from stss_ref.sample import Place
+from stss_ref.motion_chain import chain_on, is_any_still, read_motion, squared_lengths, truncated
+from stss_ref.sample import Index, Place
 
 MOST_ANSWERS = 32
 """A pixel with more right answers than this is not judged."""
 SMALL = 2.0**-62
 """Pixels. Float32 may lose the squares of shorter motions, so that these may count as still, like subnormal ones."""
 FLOAT32_MAX = float(np.finfo(np.float32).max)
+Float64 = NDArray[Any]
+Bool = NDArray[np.bool_]
+
+
+class Ways(NamedTuple):
+    """All ways of the chains of some pixels, those of a pixel one after the other.
+
+    Attributes:
+        pixel: (N,) number of the pixel.
+        chained: (N, 2) the motion so far; pixels.
+        off: (N, 2) its largest error; pixels.
+    """
+
+    pixel: Index
+    chained: Float64
+    off: Float64
+
+    def take(self, which: NDArray[Any]) -> Ways:
+        """The ways of these numbers, or of this mask."""
+        return Ways(*(array[which] for array in self))
 
 
 def expect_motion_chain(inputs: dict[str, NDArray[Any]], arithmetic: Arithmetic) -> dict[str, Expected]:
@@ -38,107 +57,117 @@ def expect_motion_chain(inputs: dict[str, NDArray[Any]], arithmetic: Arithmetic)
         unsure |= at.at.finite & (at.unsure | _is_tied(earlier, at.at, arithmetic))
         with np.errstate(invalid="ignore"):
             chained = chain_on(chained, earlier)
-            off = np.where(np.isfinite(chained), off + sum_error(chained, off, arithmetic), 0)
-    answers = {(int(y), int(x)): _answers(motions, int(y), int(x), arithmetic) for y, x in np.argwhere(unsure)}
-    want, others = chained.copy(), [chained.copy() for _ in range(max((len(a) for a in answers.values()), default=1) - 1)]
-    for pixel, pairs in answers.items():
-        want[pixel] = pairs[0][0]
-        off[pixel] = np.max([wrong for _, wrong in pairs], axis=0)
-        for i, other in enumerate(others):
-            other[pixel] = pairs[min(i + 1, len(pairs) - 1)][0]
-    return {"motion": Expected(want, off + arithmetic.tiny, tuple(others), vectors=True)}
+        off = _sum_off(chained, off, arithmetic)
+    y, x = np.nonzero(unsure)
+    ways = _follow(motions, x, y, arithmetic)
+    _, first, count = np.unique(ways.pixel, return_index=True, return_counts=True)
+    off[y, x] = np.maximum.reduceat(ways.off, first)
+    answers = [chained.copy() for _ in range(max(count, default=1))]
+    for i, answer in enumerate(answers):
+        answer[y, x] = ways.chained[first + np.minimum(i, count - 1)]
+    return {"motion": Expected(answers[0], off + arithmetic.tiny, tuple(answers[1:]), vectors=True)}
 
 
-def _is_tied(earlier: NDArray[Any], at: Place, arithmetic: Arithmetic) -> NDArray[np.bool_]:
-    """Where rounding may decide: two of the four motions differ but have nearly the same length, or one hardly differs from 0."""
-    height, width, _ = earlier.shape
-    padded = np.pad(earlier, ((2, 3), (2, 3), (0, 0)))
-    x = np.clip(truncated(at.x, at.fx), -2, width + 1) + 2
-    y = np.clip(truncated(at.y, at.fy), -2, height + 1) + 2
-    four = np.stack([padded[y + j, x + i] for j in (0, 1) for i in (0, 1)])
-    lengths = _lengths(four)
+def _sum_off(total: Float64, off: Float64, arithmetic: Arithmetic) -> Float64:
+    """The largest error of a chain after a sum; a chain that is not finite has none."""
     with np.errstate(invalid="ignore"):
-        near = (lengths >= _least(lengths.max(axis=0), arithmetic)) | (lengths == lengths.max(axis=0))
-    alike = (four == np.take_along_axis(four, lengths.argmax(axis=0)[None, ..., None], axis=0)).all(axis=-1)
-    size = np.abs(four).max(axis=-1)
-    return (near & ~alike).any(axis=0) | ((size > 0) & (size < max(SMALL, arithmetic.tiny))).any(axis=0)
+        return np.where(np.isfinite(total), off + sum_error(total, off, arithmetic), 0)
 
 
-def _least(longest: Any, arithmetic: Arithmetic) -> Any:
-    """The smallest squared length that may count as the longest, of motions whose subnormal components may be 0."""
-    return longest * (1 - BOUNDS["length"].roundings * 2.0**-24) - arithmetic.tiny**2
+def _is_tied(earlier: NDArray[Any], at: Place, arithmetic: Arithmetic) -> Bool:
+    """Where rounding may decide which of the four motions counts as the longest."""
+    _, may_count = _longest(earlier, truncated(at.x, at.fx), truncated(at.y, at.fy), arithmetic)
+    return may_count.sum(axis=0) > 1
 
 
-def _lengths(vectors: NDArray[Any]) -> NDArray[np.float64]:
-    """Squared lengths with the range of float32: all lengths beyond it are equal."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        squared = (vectors * vectors).sum(axis=-1)
-    return np.where(np.isfinite(vectors).all(axis=-1) & (squared <= FLOAT32_MAX), squared, np.inf)
-
-
-Answer = tuple[NDArray[np.float64], NDArray[np.float64]]
-"""A chained motion, and its largest error; pixels."""
-
-
-def _answers(motions: NDArray[Any], y: int, x: int, arithmetic: Arithmetic) -> list[Answer]:
-    """All right answers of pixel (y, x)."""
-    ends: list[Answer] = [(motions[0, y, x], np.zeros(2))]
+def _follow(motions: NDArray[Any], x: Index, y: Index, arithmetic: Arithmetic) -> Ways:
+    """All ways of the chains of pixels (x, y), both (P,)."""
+    ways = Ways(np.arange(len(x)), motions[0, y, x], np.zeros((len(x), 2)))
     for earlier in motions[1:]:
-        further: dict[bytes, Answer] = {}
-        for chained, off in ends:
-            for step in _steps(earlier, (x, y), chained, off, arithmetic):
-                with np.errstate(invalid="ignore"):
-                    total = chained + step
-                    wrong = np.where(np.isfinite(total), off + sum_error(total, off, arithmetic), 0)
-                further[total.tobytes()] = (total, wrong)
-        ends = list(further.values())[:MOST_ANSWERS]
-    return ends
+        way, step = _steps(earlier, x[ways.pixel], y[ways.pixel], ways, arithmetic)
+        pixel, chained, off = ways.take(way)
+        with np.errstate(invalid="ignore"):
+            chained = chained + step
+        ways = _different(Ways(pixel, chained, _sum_off(chained, off, arithmetic)))
+    return ways
 
 
-def _steps(
-    earlier: NDArray[Any], pixel: tuple[int, int], chained: NDArray[Any], off: NDArray[Any], arithmetic: Arithmetic
-) -> list[NDArray[np.float64]]:
-    """The motions that one step may read."""
-    if not np.isfinite(chained).all():
-        return [np.zeros(2)]
-    wrong = off + np.where(chained == 0, 0, arithmetic.flushed(chained))
-    columns, rows = (
-        {_trunc(*way) for way in ways(p + math.floor(m), m - math.floor(m), e)}
-        for p, m, e in zip(pixel, map(float, chained), map(float, wrong), strict=True)
-    )
-    return [step for row in sorted(rows) for column in sorted(columns) for step in _longest(earlier, row, column, arithmetic)]
+def _different(ways: Ways) -> Ways:
+    """The first way to each motion, with the largest error of all to it; ``MOST_ANSWERS`` of a pixel."""
+    keys = (*ways.chained.view(np.int64).T, ways.pixel)
+    order = np.lexsort(keys)
+    is_new = np.ones(len(order), bool)
+    is_new[1:] = np.any([key[order][1:] != key[order][:-1] for key in keys], axis=0)
+    first = order[is_new]
+    off = np.maximum.reduceat(ways.off[order], np.flatnonzero(is_new))
+    ways = Ways(ways.pixel[first], ways.chained[first], off).take(first.argsort())
+    return ways.take(np.arange(len(first)) - np.searchsorted(ways.pixel, ways.pixel) < MOST_ANSWERS)
 
 
-def _trunc(whole: int, fraction: float) -> int:
-    return 0 if whole == -1 and fraction > 0 else whole
-
-
-def _longest(earlier: NDArray[Any], row: int, column: int, arithmetic: Arithmetic) -> list[NDArray[np.float64]]:
-    """The motions, of the four at a corner, that may count as the longest."""
+def _steps(earlier: NDArray[Any], x: Index, y: Index, ways: Ways, arithmetic: Arithmetic) -> tuple[Index, Float64]:
+    """The motions (M, 2) that one step of the ways (N) may read, and the number (M,) of the way of each; pixels (x, y), both (N,)."""
+    finite = _both(np.isfinite(ways.chained))
+    x, y = np.where(finite, (x, y), -2)  # outside the frame, where all motion is 0
+    chained = np.where(finite[:, None], ways.chained, 0)
+    off = ways.off + np.where(chained == 0, 0, arithmetic.flushed(chained))
     height, width, _ = earlier.shape
-    places = [(row + j, column + i) for j in (0, 1) for i in (0, 1)]
-    four = np.array([earlier[p] if 0 <= p[0] < height and 0 <= p[1] < width else (0.0, 0.0) for p in places])
-    size = np.abs(four).max(axis=-1)
-    if (size == 0).any():
-        return [np.zeros(2)]
-    lengths = _lengths(four)
-    first = int(lengths.argmax())
-    candidates = [four[first]]
-    for i in range(4):
-        alike = (np.abs(four[i]) == np.abs(four[first])).all() or lengths[i] == np.inf == lengths[first]
-        if (
-            not alike
-            and lengths[i] >= _least(lengths[first], arithmetic)
-            and not _surely_shorter(four, lengths, i, first, arithmetic)
-        ):
-            candidates.append(four[i])
-    return [*candidates, np.zeros(2)] if (size < max(SMALL, arithmetic.tiny)).any() else candidates
+    columns, other_column = _cells(x, chained[:, 0], off[:, 0], width)
+    rows, other_row = _cells(y, chained[:, 1], off[:, 1], height)
+    way, row, column = np.nonzero((other_row[:, None] & other_column).transpose(2, 0, 1))
+    motions, may_count = _longest(earlier, columns[column, way], rows[row, way], arithmetic)
+    corner, which = np.nonzero(may_count.T)
+    return way[corner], motions[which, corner]
 
 
-def _surely_shorter(four: NDArray[Any], lengths: NDArray[Any], i: int, first: int, arithmetic: Arithmetic) -> bool:
-    """Whether motion ``i`` cannot be the longest: it is shorter than ``first``, or as long and later; float32 has the squares exactly."""
-    squares = four[[i, first]] ** 2
-    if ((squares > 0) & (squares < arithmetic.tiny**2)).any():
-        return False
-    exact = Arithmetic("float32").holds(squares).all() and Arithmetic("float32").holds(lengths[[i, first]]).all()
-    return bool(exact) and (lengths[i] < lengths[first] or i > first)
+def _cells(pixel: Index, motion: Float64, off: Float64, size: int) -> tuple[Index, Bool]:
+    """The cells (3, N) along an axis where motion that is off by up to ``off`` may lead, in order, and where one differs from the last."""
+    whole = np.floor(motion)
+    fraction = motion - whole
+    moved = np.stack([fraction - off, fraction, fraction + off])
+    steps = np.where(off > 0, np.floor(moved), 0)
+    steps[1] = 0  # also where the fraction is 1 by rounding
+    # One pixel beyond the frame is as good as any distance.
+    cells = truncated(np.clip(pixel + whole + steps, -2, size).astype(np.intp), moved - steps)
+    return cells, np.diff(cells, axis=0, prepend=-3) > 0
+
+
+def _longest(earlier: NDArray[Any], column: Index, row: Index, arithmetic: Arithmetic) -> tuple[Float64, Bool]:
+    """Six motions of a corner: the longest of the four there, all four, and 0; and which of them may count as the longest.
+
+    Args:
+        earlier: (H, W, 2) motion.
+        column, row: of the corners, any shape S.
+        arithmetic: of the port.
+
+    Returns:
+        motions: (6, S, 2).
+        may_count: (6, S); of motions as long as the longest but for the sign of a component, the longest alone.
+    """
+    four = np.stack([read_motion(earlier, column + i, row + j) for j in (0, 1) for i in (0, 1)])
+    squares = squared_lengths(four)
+    squares = np.where(squares <= FLOAT32_MAX, squares, np.inf)  # all lengths beyond float32's range are equal
+    first = squares.argmax(axis=0)[None]
+    longest = np.take_along_axis(four, first[..., None], axis=0)
+    most, is_exact = np.take_along_axis(squares, first, axis=0), _is_exact(four, squares, arithmetic)
+    sure = is_exact & np.take_along_axis(is_exact, first, axis=0)
+    alike = _both(np.abs(four) == np.abs(longest)) | (np.isinf(squares) & np.isinf(most))
+    # Subnormal components may be 0.
+    near = squares >= most * (1 - BOUNDS["length"].roundings * 2.0**-24) - arithmetic.tiny**2
+    still = is_any_still(four)[None]
+    small = _both(np.abs(four) < max(SMALL, arithmetic.tiny)).any(axis=0, keepdims=True)
+    may_count = np.concatenate([~still, ~still & near & ~alike & ~sure, small])
+    return np.concatenate([longest, four, np.zeros_like(longest)]), may_count
+
+
+def _is_exact(motions: NDArray[Any], squared: Float64, arithmetic: Arithmetic) -> Bool:
+    """Where float32 has the squares of both components, and their sum, exactly."""
+    with np.errstate(over="ignore"):
+        squares = motions * motions
+    lost = (squares > 0) & (squares < arithmetic.tiny**2)
+    holds = Arithmetic("float32").holds
+    return _both(holds(squares) & ~lost) & holds(squared)
+
+
+def _both(components: Bool) -> Bool:
+    """Where it is true of both components; the last axis."""
+    return components[..., 0] & components[..., 1]
