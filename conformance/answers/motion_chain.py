@@ -15,7 +15,7 @@ from stss_ref.motion_chain import chain_on, is_any_still, read_motion, squared_l
 from stss_ref.sample import Index, Place
 
 MOST_ANSWERS = 32
-"""A pixel with more right answers than this is not judged."""
+"""A pixel with more right answers is vague: it is not judged."""
 SMALL = 2.0**-62
 """Pixels. Float32 may lose the squares of shorter motions, so that these may count as still, like subnormal ones."""
 FLOAT32_MAX = float(np.finfo(np.float32).max)
@@ -59,12 +59,18 @@ def expect_motion_chain(inputs: dict[str, NDArray[Any]], arithmetic: Arithmetic)
             chained = chain_on(chained, earlier)
         off = _sum_off(chained, off, arithmetic)
     y, x = np.nonzero(unsure)
-    ways = _follow(motions, x, y, arithmetic)
+    ways, vague = _follow(motions, x, y, arithmetic)
     _, first, count = np.unique(ways.pixel, return_index=True, return_counts=True)
     off[y, x] = np.maximum.reduceat(ways.off, first)
     answers = [chained.copy() for _ in range(max(count, default=1))]
     for i, answer in enumerate(answers):
         answer[y, x] = ways.chained[first + np.minimum(i, count - 1)]
+    if vague.any():
+        answers.append(chained.copy())
+        for answer in answers:
+            answer[y[vague], x[vague]] = 0
+        # Any number is right, and so is none.
+        off[y[vague], x[vague]], answers[-1][y[vague], x[vague]] = np.inf, np.nan
     return {"motion": Expected(answers[0], off + arithmetic.tiny, tuple(answers[1:]), vectors=True)}
 
 
@@ -80,32 +86,31 @@ def _is_tied(earlier: NDArray[Any], at: Place, arithmetic: Arithmetic) -> Bool:
     return may_count.sum(axis=0) > 1
 
 
-def _follow(motions: NDArray[Any], x: Index, y: Index, arithmetic: Arithmetic) -> Ways:
-    """All ways of the chains of pixels (x, y), both (P,)."""
-    ways = Ways(np.arange(len(x)), motions[0, y, x], np.zeros((len(x), 2)))
+def _follow(motions: NDArray[Any], x: Index, y: Index, arithmetic: Arithmetic) -> tuple[Ways, Bool]:
+    """All ways of the chains of pixels (x, y), both (P,), and which pixels are vague: of these one way is followed."""
+    ways, vague = Ways(np.arange(len(x)), motions[0, y, x], np.zeros((len(x), 2))), np.zeros(len(x), bool)
     for earlier in motions[1:]:
-        way, step = _steps(earlier, x[ways.pixel], y[ways.pixel], ways, arithmetic)
-        pixel, chained, off = ways.take(way)
-        with np.errstate(invalid="ignore"):
-            chained = chained + step
-        ways = _different(Ways(pixel, chained, _sum_off(chained, off, arithmetic)))
-    return ways
+        ways, is_far = _step(earlier, x[ways.pixel], y[ways.pixel], ways, arithmetic)
+        ways = _different(ways)
+        number = np.arange(len(ways.pixel)) - np.searchsorted(ways.pixel, ways.pixel)
+        vague[is_far] = vague[ways.pixel[number >= MOST_ANSWERS]] = True
+        ways = ways.take((number == 0) | ~vague[ways.pixel])
+    return ways, vague
 
 
 def _different(ways: Ways) -> Ways:
-    """The first way to each motion, with the largest error of all to it; ``MOST_ANSWERS`` of a pixel."""
+    """The first way to each motion, with the largest error of all to it."""
     keys = (*ways.chained.view(np.int64).T, ways.pixel)
     order = np.lexsort(keys)
     is_new = np.ones(len(order), bool)
     is_new[1:] = np.any([key[order][1:] != key[order][:-1] for key in keys], axis=0)
     first = order[is_new]
     off = np.maximum.reduceat(ways.off[order], np.flatnonzero(is_new))
-    ways = Ways(ways.pixel[first], ways.chained[first], off).take(first.argsort())
-    return ways.take(np.arange(len(first)) - np.searchsorted(ways.pixel, ways.pixel) < MOST_ANSWERS)
+    return Ways(ways.pixel[first], ways.chained[first], off).take(first.argsort())
 
 
-def _steps(earlier: NDArray[Any], x: Index, y: Index, ways: Ways, arithmetic: Arithmetic) -> tuple[Index, Float64]:
-    """The motions (M, 2) that one step of the ways (N) may read, and the number (M,) of the way of each; pixels (x, y), both (N,)."""
+def _step(earlier: NDArray[Any], x: Index, y: Index, ways: Ways, arithmetic: Arithmetic) -> tuple[Ways, Index]:
+    """The ways (N), of pixels (x, y), both (N,), after one more step, and the pixels of those whose place is off by more than a pixel."""
     finite = _both(np.isfinite(ways.chained))
     x, y = np.where(finite, (x, y), -2)  # outside the frame, where all motion is 0
     chained = np.where(finite[:, None], ways.chained, 0)
@@ -113,10 +118,14 @@ def _steps(earlier: NDArray[Any], x: Index, y: Index, ways: Ways, arithmetic: Ar
     height, width, _ = earlier.shape
     columns, other_column = _cells(x, chained[:, 0], off[:, 0], width)
     rows, other_row = _cells(y, chained[:, 1], off[:, 1], height)
+    is_far = (np.ptp(columns, axis=0) > 2) | (np.ptp(rows, axis=0) > 2)
     way, row, column = np.nonzero((other_row[:, None] & other_column).transpose(2, 0, 1))
     motions, may_count = _longest(earlier, columns[column, way], rows[row, way], arithmetic)
     corner, which = np.nonzero(may_count.T)
-    return way[corner], motions[which, corner]
+    pixel, chained, off = ways.take(way[corner])
+    with np.errstate(invalid="ignore"):
+        chained = chained + motions[which, corner]
+    return Ways(pixel, chained, _sum_off(chained, off, arithmetic)), ways.pixel[is_far]
 
 
 def _cells(pixel: Index, motion: Float64, off: Float64, size: int) -> tuple[Index, Bool]:

@@ -254,7 +254,7 @@ HOW: dict[str, dict[str, Any]] = {
     "half": {"entry": to_half, "dtype": "float16"},
     "half_flush": {"entry": lambda x: flush_to_0(to_half(x), "float16"), "dtype": "float16"},
 }
-PLANTS["half_flush"] = PLANTS["half"]
+PLANTS["half_flush"] = (*PLANTS["half"], returns("motion_chain.chain_on", to_half))
 PORTS = tuple(PLANTS)
 """Their names."""
 

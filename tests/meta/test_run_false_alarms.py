@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import pytest
 
-from conformance.cases.large_inputs import network_case
+from conformance.cases.large_inputs import large_inputs, network_case
 from conformance.cases.stage_inputs import make_weights
 from conformance.judging.judge import Judge, Tier
 from conformance.protocol.stages import STAGES
@@ -43,6 +43,12 @@ def test_a_key_may_lose_what_is_no_normal_number():
     inputs, _ = network_case("erm", (16, 16), np.random.default_rng(0))
     case = inputs, make_weights("small keys", 0)
     Judge(port("half_flush")).check(lambda judge, drawn: judge.agrees("erm", *drawn), case)
+
+
+@pytest.mark.parametrize("case", large_inputs("motion_chain", 1))
+def test_a_chain_may_be_stored_in_half(case):
+    """Its motion of thousands of pixels is off by several, and then may read any motion there."""
+    Judge(port("half_flush")).check(lambda judge, inputs: judge.agrees("motion_chain", inputs), case(np.random.default_rng(0)))
 
 
 def test_a_port_is_judged_where_its_own_functions_are_called():
