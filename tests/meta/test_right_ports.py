@@ -33,7 +33,7 @@ DIFFERENT = {
     "winograd_4_near": NETWORK,
     "half": NETWORK | READS | {"reshade"},
 }
-"""Stages in which a port's bits are others than those of the reference run in float32; of all but ``half_flush``, which is ``half`` and stores the chain."""
+"""Stages in which a port's bits are others than those of the reference run in float32; of all but ``half_flush``, a ``half`` with more."""
 
 
 @cache
