@@ -12,7 +12,7 @@ import re
 import zlib
 from collections.abc import Generator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
@@ -39,6 +39,8 @@ _BEAUTY_WORDS = {"rgb", "rgba", "beauty", "combined"}
 _BEAUTY_NAMES = {"c", "ci", "color", "colour", "image", "main"}
 """Renderers' names for the part of the picture, as a word of its name or as all of it; Houdini writes ``N``, ``albedo`` and ``C``."""
 _MAGIC = {".exr": b"\x76\x2f\x31\x01", ".png": b"\x89PNG\r\n\x1a\n"}
+_KINDS = {"an EXR": _MAGIC[".exr"], "a PNG": _MAGIC[".png"], "a JPEG": b"\xff\xd8\xff", "a TIFF": b"II*\0"}
+"""Kinds of image as an error names them -> how such a file begins."""
 
 oiio.attribute("limits:channels", MAX_CHANNELS)
 oiio.attribute("limits:imagesize_MB", MAX_BYTES >> 20)
@@ -55,11 +57,13 @@ class Header:
         path: the file.
         display: its display window: the image.
         windows: name -> data window of the channel's part: the pixels in the file.
-        channels: full names. A name that several parts of a multipart file use is ``PART.NAME``, except in the part `_plain_part`.
+        channels: full names. A name that several parts of a multipart file use is ``PART.NAME``, except in the part `_plain_part`; those
+            of a part with another view than the first part's begin with their view.
         formats: name -> "half", "float", "uint32", "uint8", "uint16".
         compression: name -> "zip", "dwaa:45", ... of the channel's part; "" where the format has no choice of it.
         attributes: metadata of all parts; where parts differ, the first part's value.
         views: a stereo file's, such as "left" and "right", the default one first.
+        parts: name -> the name of the channel's part; "" where it has none.
     """
 
     path: Path
@@ -70,6 +74,7 @@ class Header:
     compression: Mapping[str, str]
     attributes: Mapping[str, Value]
     views: tuple[str, ...] = ()
+    parts: Mapping[str, str] = field(default_factory=dict[str, str])
 
     @property
     def size(self) -> tuple[int, int]:
@@ -112,11 +117,14 @@ def open_image(path: Path) -> Generator[oiio.ImageInput, None, None]:
         if (size := require_regular(path)) > MAX_FILE_BYTES:
             raise InputError(f"{path}: expected a file of at most {MAX_FILE_BYTES >> 20} MiB")
         with path.open("rb") as file:
-            if file.read(len(magic)) != magic:
-                raise InputError(f"{path}: empty, or not the kind of file its name says")
+            if (start := file.read(8))[: len(magic)] != magic:
+                raise InputError(f"{path}: expected {_kind_of(magic)}, found {_kind_of(start)}")
+            file.seek(len(magic))
             if path.suffix.lower() == ".exr":
-                if header_bytes(file) > MOST_HEADER:
+                if (claimed := header_bytes(file)) > MOST_HEADER:
                     raise InputError(f"{path}: a header of more than {MOST_HEADER >> 20} MiB")
+                if claimed >= size:
+                    raise InputError(f"{path}: truncated or corrupt: its header goes on behind its {size} bytes")
                 stops = ends_early(file, size)
             if path.suffix.lower() == ".png" and not whole_png(file):
                 raise InputError(f"{path}: truncated or corrupt")
@@ -136,6 +144,13 @@ def open_image(path: Path) -> Generator[oiio.ImageInput, None, None]:
     finally:
         image.close()
         last_error(image)  # a pending message would be printed when the object goes
+
+
+def _kind_of(start: bytes) -> str:
+    """The kind of a file that begins so, as an error names it."""
+    return next(
+        (kind for kind, magic in _KINDS.items() if start.startswith(magic)), "another kind of file" if start else "0 bytes"
+    )
 
 
 def whole_png(file: BinaryIO) -> bool:
@@ -160,19 +175,23 @@ def locate(path: Path, image: oiio.ImageInput) -> tuple[Header, dict[str, tuple[
     formats: dict[str, str] = {}
     windows: dict[str, PixelWindow] = {}
     compression: dict[str, str] = {}
-    holders: dict[str, list[int]] = {}
+    part_names: dict[str, str] = {}
+    holders: dict[tuple[str, str], list[int]] = {}
     for number, each in enumerate(parts):
         for name in each.channels:
-            holders.setdefault(name, []).append(number)
-    plain = {name: _plain_part(parts, numbers) for name, numbers in holders.items()}
+            holders.setdefault((each.view, name), []).append(number)
+    plain = {key: _plain_part(parts, numbers) for key, numbers in holders.items()}
     for number, each in enumerate(parts):
         for index, name in enumerate(each.channels):
-            full = name if plain[name] == number else f"{each.name}.{name}"
+            full = name if plain[each.view, name] == number else f"{each.name}.{name}"
+            if each.view not in ("", parts[0].view):
+                full = f"{each.view}.{full}"
             if full in places:
                 raise InputError(f"{path}: channel {full} appears twice")
             places[full] = number, index
             formats[full], windows[full], compression[full] = each.formats[index], each.data, each.compression
-    header = Header(path, display, windows, tuple(places), formats, compression, attributes, views)
+            part_names[full] = each.name
+    header = Header(path, display, windows, tuple(places), formats, compression, attributes, views, part_names)
     return header, places
 
 
@@ -223,15 +242,14 @@ class _Part(NamedTuple):
 
 
 def _plain_part(parts: Sequence[_Part], holders: Sequence[int]) -> int | None:
-    """The part that keeps the plain name of a channel which several parts have: the picture's part, in the first view.
+    """The part that keeps the plain name of a channel which several parts of a view have: the picture's part.
 
     None where no name says which part that is: a guess by their order would take normals for colours.
     """
-    first = [n for n in holders if parts[n].view == parts[holders[0]].view]
-    if len(first) > 1:
-        names = {n: parts[n].name.lower() for n in first}
-        first = [n for n in first if names[n] in _BEAUTY_NAMES or _BEAUTY_WORDS & {*re.split(r"[\W_]+", names[n])}]
-    return first[0] if first else None
+    if len(holders) > 1:
+        names = {n: parts[n].name.lower() for n in holders}
+        holders = [n for n in holders if names[n] in _BEAUTY_NAMES or _BEAUTY_WORDS & {*re.split(r"[\W_]+", names[n])}]
+    return holders[0] if holders else None
 
 
 def _compression(spec: oiio.ImageSpec) -> str:

@@ -55,7 +55,7 @@ def find_buffers(header: Header, profile: Profile, buffers: Collection[str]) -> 
     Raises:
         InputError: several layers have the same buffers, so that ``{layer}`` could mean any of them; or the file lacks the view.
     """
-    names = _names(header, profile.view)
+    names = _names(header, profile)
     layers = {name.rsplit(".", 2)[0] for name in names if name.count(".") >= 2}
     by_layer = {layer: _in_layer(header.path, names, profile, buffers, layer) for layer in sorted(layers)}
     if not by_layer:
@@ -74,7 +74,7 @@ def find_buffers(header: Header, profile: Profile, buffers: Collection[str]) -> 
 
 def layers_of(header: Header, profile: Profile, color: Source) -> list[str]:
     """The layers of a file that have all channels of a colour, the layer of ``color`` first; "" for a colour without a layer."""
-    names = _names(header, profile.view)
+    names = _names(header, profile)
     layers = sorted({name.rsplit(".", 2)[0] for name in names if name.count(".") >= 2})
     by_layer = {layer: _in_layer(header.path, names, profile, ["color"], layer).get("color") for layer in layers}
     return sorted((layer for layer, source in by_layer.items() if source), key=lambda layer: by_layer[layer] != color) or [""]
@@ -85,23 +85,31 @@ def view_of(name: str, views: Collection[str]) -> str | None:
     return next((part for part in name.split(".")[:-1] if part in views), None)
 
 
-def _names(header: Header, view: str) -> dict[str, str]:
-    """A channel's name without its view -> the full name, of one view; the first one's channels need not have it in their names.
+def _names(header: Header, profile: Profile) -> dict[str, str]:
+    """A channel's name as the profile may have it -> the full name, of the profile's view.
+
+    Without its view; and with its part, where the profile has a name of this kind: ``R`` of the part ``basecolor`` is no picture, also in
+    a frame that has no picture.
 
     Raises:
         InputError: the file has views, and not this one.
     """
-    if not header.views:
-        return {name: name for name in header.channels}
-    if view and view not in header.views:
-        raise InputError(f"{header.path}: no view {view}; expected one of {', '.join(header.views)}")
-    eye = view or header.views[0]
-    names = {name: name for name in header.channels if eye == header.views[0] or view_of(name, header.views)}
+    views, view = header.views, profile.view
+    if view and views and view not in views:
+        raise InputError(f"{header.path}: no view {view}; expected one of {', '.join(views)}")
+    eye = view if view and views else next(iter(views), None)
+    names: dict[str, str] = {}
     for name in header.channels:
-        if view_of(name, header.views) == eye:
+        if (own := view_of(name, views)) is None and eye == next(iter(views), None):  # the first view's need not have it
+            names[name] = name
+        elif own is not None and own == eye:
             parts = name.split(".")
-            parts.remove(eye)
+            parts.remove(own)
             names[".".join(parts)] = name
+    wanted = {name for buffer in profile.channels.values() for alternative in buffer for name in alternative}
+    for name in [name for name in names if "." not in name]:
+        if (whole := f"{header.parts[names[name]]}.{name}") in wanted:
+            names[whole] = names.pop(name)
     return names
 
 

@@ -138,7 +138,11 @@ def test_a_part_of_a_picture_has_nothing_around_it(tmp_path):
     ("name", "content", "message"),
     [
         ("a.exr", None, "No such file"),
-        ("a.exr", b"\x89PNG\r\n\x1a\n", "empty, or not the kind"),
+        ("a.exr", b"\x89PNG\r\n\x1a\n", "expected an EXR, found a PNG"),
+        ("a.png", b"\xff\xd8\xff\xe0" + bytes(99), "expected a PNG, found a JPEG"),
+        ("a.exr", b"", "expected an EXR, found 0 bytes"),
+        ("a.exr", b"<html>404</html>", "expected an EXR, found another kind of file"),
+        ("a.exr", b"\x76\x2f\x31\x01\2\0\0\0channels\0chlist\0\xa2\1\0\0R\0", "its header goes on behind its 30 bytes"),
         ("a.tif", b"II*\0", r"expected an \.exr or \.png file"),
     ],
 )

@@ -291,6 +291,43 @@ def test_views_in_the_names_of_channels_are_found(tmp_path):
     assert right.frames[1].sources["depth"].names == ("ViewLayer.Depth.right.Z",)
 
 
+def test_views_may_be_parts(tmp_path):
+    """Blender's files of many views: a part ``LAYER.PASS-VIEW`` for each pass and view, their channels without the view."""
+    passes = {names[0][0].rpartition(".")[0]: names[0] for names in load_profile("blender").channels.values() if names}
+    parts = []
+    for name, channels in passes.items():
+        layer, names = name.replace("{layer}", "ViewLayer"), tuple(n.replace("{layer}", "ViewLayer") for n in channels)
+        for value, view in enumerate(("left", "right"), 1):
+            pixels = np.full((4, 4, len(names)), value, np.float32)
+            parts.append((pixels, names, {"oiio:subimagename": (f"{layer}-{view}",), "view": (view,)}))
+    write_parts(tmp_path / "a.0001.exr", *parts)
+    sequence = open_sequence(tmp_path)
+    assert sequence.alone == (
+        'views: the files have left, right; only left is read: a profile with a base and view = "right" reads another',
+    )
+    assert (sequence.load(1).color == 1).all()
+    right = open_sequence(tmp_path, load_profile("blender", view="right"))
+    assert right.frames[1].sources["depth"].names == ("right.ViewLayer.Depth.Z",)
+    assert (right.load(1).color == 2).all()
+
+
+def test_a_part_may_hold_the_name_of_its_channels(tmp_path):
+    """A frame that was not rendered has no part ``rgba``: its base colour, then the only R, G, B, is no picture."""
+    parts = {"rgba": "RGB", "motion": "XY", "normal": "XYZ", "depth": "Z", "position": "XYZ", "stencil": "X", "nov": "X"}
+    parts |= {"basecolor": "RGB", "roughness": "X", "metallic": "X"}
+    filled = {name: np.full((4, 4, len(of)), value, np.float32) for value, (name, of) in enumerate(parts.items())}
+    for number in (1, 2):
+        kept = [name for name in parts if number == 1 or name != "rgba"]
+        every = [(filled[name], tuple(parts[name]), {"oiio:subimagename": (name,)}) for name in kept]
+        write_parts(tmp_path / f"a.{number:04d}.exr", *every)
+    sequence = open_sequence(tmp_path)
+    assert list(sequence.rendered) == [1]
+    for number in (1, 2):
+        frame = sequence.load(number)
+        assert (frame.base_color == 1).all()  # 7, clipped
+        assert (frame.stencil == 5).all()
+
+
 def test_no_view_takes_what_another_one_has_alone(tmp_path):
     """As Nuke writes them: the first view without its name. The second has no depth of its own."""
     names = ["R", "G", "B", "depth.Z", "right.R", "right.G", "right.B"]
