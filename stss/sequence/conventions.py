@@ -12,12 +12,15 @@ from stss.frames.buffers import Buffers
 from stss.frames.check_buffers import ROUNDING, float_hint, require_distinct, require_unmasked
 from stss.sequence.camera import CameraPose
 from stss.sequence.profiles import BUFFERS, CONSTANTS, DepthRule, MotionRule, NormalRule, Profile, load_profile
-from stss_ground.arguments import require_kind
+from stss_ground.arguments import require_kind, suggest
 from stss_ground.errors import InputError
 from stss_ref.arrays import Array, Image, Mask, Plane
 
 BACKGROUND_POSITION = 1e7
 """Each coordinate of the position where nothing was hit; cm. One place, so that sky matches sky; far away, so that no surface matches."""
+
+_COLORS = {"color", "colour", "colors", "colours", "rgb", "rgba"}
+"""Names by which a plane of another name is taken for a mistake, if there is no ``color``."""
 
 
 def convert(
@@ -51,11 +54,10 @@ def convert(
     table = profile if isinstance(profile, Profile) else load_profile(profile)
     where = None if camera is None else _pose(camera)
     originals: dict[str, Array] = {}
+    _require_planes(number, planes, where is not None)
     for name in BUFFERS:
         if planes.get(name) is None:
-            if name == "color" or (name == "nov" and where is not None):
-                continue
-            raise InputError(f"frame {number}: no {name}; expected an array" + (", or a camera" if name == "nov" else ""))
+            continue
         require_unmasked(f"frame {number}: {name}", planes[name])
         original = np.asarray(planes[name])
         if original.dtype.kind not in "fiub":
@@ -79,15 +81,29 @@ def convert(
     require_depth_buffer(f"frame {number}", buffers["depth"], table.depth)
     depth = to_specification(buffers, table, where)
     single = {name: buffers[name][..., 0] for name in ("stencil", "nov", "roughness", "metallic")}
-    others: dict[str, Array] = {}
+    carried: dict[str, Array] = {}
     for name, plane in planes.items():
         if name not in BUFFERS:
             require_unmasked(f"frame {number}: {name}", plane)
             if (original := np.asarray(plane)).dtype.kind not in "fiub":
                 raise InputError(f"frame {number}: {name}: expected numbers, found {original.dtype}")
-            others[name] = original.astype(np.float32)
+            carried[name] = original.astype(np.float32)
     several = {name: buffers[name] for name in ("motion", "normal", "position", "base_color")}
-    return Buffers(number, buffers.get("color"), depth=depth, **single, **several, cut=cut, carried=others)
+    return Buffers(number, buffers.get("color"), depth=depth, **single, **several, cut=cut, carried=carried)
+
+
+def _require_planes(number: int, planes: Mapping[str, Array | float], has_camera: bool) -> None:
+    """Raise InputError if a plane is missing; a colour of another name too, since the frame would count as not rendered."""
+    others = [str(name) for name in planes if name not in BUFFERS]
+    for name in BUFFERS:
+        if planes.get(name) is not None or (name == "nov" and has_camera):
+            continue
+        if name == "color":
+            if "color" not in planes and (found := [other for other in others if other.lower() in _COLORS]):
+                raise InputError(f"frame {number}: no color; expected an array, or None if it was not rendered; found {found[0]}")
+            continue
+        expected = "an array, or a camera" if name == "nov" else "an array"
+        raise InputError(f"frame {number}: no {name}; expected {expected}{suggest(name, others)}")
 
 
 def _size(number: int, planes: Mapping[str, Array]) -> tuple[int, int]:

@@ -128,6 +128,19 @@ def test_object_numbers_that_are_no_numbers_are_refused(kind):
         stss.convert(0, planes(stencil=stencil))
 
 
+def test_a_plane_of_another_spelling_is_told():
+    """A colour that is not found would be a frame that was not rendered, and no output, without a word."""
+    color = planes()["color"]
+    without = {name: plane for name, plane in planes().items() if name != "color"}
+    for name in ("Color", "colour", "rgb"):
+        with pytest.raises(InputError, match=f"frame 0: no color; expected an array, or None if .*; found {name}"):
+            stss.convert(0, without | {name: color})
+    assert stss.convert(0, without | {"colour": color, "color": None}).color is None
+    assert stss.convert(0, without | {"sky_color": color}).color is None
+    with pytest.raises(InputError, match=r"frame 0: no base_color; expected an array; did you mean basecolor\?"):
+        stss.convert(0, {"basecolor" if n == "base_color" else n: plane for n, plane in planes().items()})
+
+
 @pytest.mark.parametrize("backend", ["ref", "cl"])
 def test_an_outputs_arrays_are_the_callers(backend, device):
     """Written to, they change no later output; that of another push has others."""
