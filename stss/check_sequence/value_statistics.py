@@ -41,6 +41,8 @@ def motion_lines(verdict: ConventionVerdict, profile: str) -> list[Line]:
 
 OVEREXPOSED = 0.75
 """Share of the surfaces' colour values above 1, from which there is a warning. Found: up to 0.01 in the reference films."""
+FEW, STILL = 16, 0.5
+"""Pixels of an object whose middle says where it is; and by how many pixels samples at its silhouette move the middle, at most."""
 WHOLE_HALF = 1 << 11
 """A half holds every whole number up to this one."""
 
@@ -56,6 +58,8 @@ class Values:
         self._footprints: list[float] = []
         self._before: tuple[int, Array, NDArray[np.intp]] | None = None
         """The number of the last frame, the object numbers in it, and the pixels of each."""
+        self._middles: tuple[int, dict[float, Array]] = (0, {})
+        """The number of the last frame, and of each object in it the middle of its pixels, (x, y)."""
 
     def add(self, sequence: Sequence, number: int) -> None:
         """Look at one frame."""
@@ -80,6 +84,7 @@ class Values:
         count["fractional stencils"] += int((buffers.stencil != np.rint(buffers.stencil)).sum())
         count["negative stencils"] += int((buffers.stencil < 0).sum())
         self._count_new_objects(buffers)
+        self._add_middles(buffers)
         if hit.any():
             farthest = buffers.depth == buffers.depth[hit].max()
             count["farthest without normal"] += int((farthest & (buffers.normal == 0).all(axis=-1)).sum())
@@ -108,6 +113,17 @@ class Values:
             self._counts["moving"] += int(pixels.sum())
             self._counts["new objects"] += int(min(new, gone))
         self._before = buffers.number, numbers, pixels
+
+    def _add_middles(self, buffers: Buffers) -> None:
+        """Measure how far objects move, by the middles of their pixels; those of a few pixels are left out."""
+        numbers, of, pixels = np.unique(buffers.stencil, return_inverse=True, return_counts=True)
+        rows = [np.bincount(of.ravel(), axis.ravel()) / pixels for axis in reversed(np.indices(buffers.size))]
+        of_frame = {float(n): middle for n, middle, p in zip(numbers, np.stack(rows, -1), pixels, strict=True) if n and p >= FEW}
+        number, earlier = self._middles
+        if number == buffers.number - 1 and not buffers.cut:
+            for n in of_frame.keys() & earlier.keys():
+                self._highest("shift", np.array([np.linalg.norm(of_frame[n] - earlier[n])]))
+        self._middles = buffers.number, of_frame
 
     def _add_color(self, buffers: Buffers, hit: Mask) -> None:
         if buffers.color is not None:
@@ -224,8 +240,12 @@ class Values:
         if (share := self._share("off the frame")) > 0.5:
             lines.append(("warning", f"motion: {share:.1%} of the pixels move by more than the frame, or non-finite"))
         if self._most.get("motion") == 0:
-            text = "motion: 0 everywhere; expected only where neither camera nor objects move"
-            lines.append(("note", f"{text}; else {hint}" if hint else text))
+            if (shift := self._most.get("shift", 0)) > STILL:
+                text = f"motion: 0 everywhere, though an object moves by {shift:.1f} pixels"
+                lines.append(("warning", f"{text}; {hint}" if hint else text))
+            else:
+                text = "motion: 0 everywhere; expected only where neither camera nor objects move"
+                lines.append(("note", f"{text}; else {hint}" if hint else text))
         return lines + self._stencil_lines()
 
     def _merged_lines(self, sequence: Sequence) -> list[Line]:

@@ -174,6 +174,21 @@ def test_values(write_frames, changes, expected):
     assert report.status == (2 if any(level == "error" for level, _ in expected) else 1)
 
 
+@pytest.mark.parametrize(("pace", "level"), [(3, "warning"), (0, "note")])
+def test_an_object_that_moves_shows_that_motion_was_not_rendered(write_frames, pace, level):
+    """As Cycles with motion blur: the Vector pass is 0, and the camera rests."""
+
+    def change(number, channels):
+        for name in ("motion.X", "motion.Y"):
+            channels[name][:] = 0
+        channels["stencil.X"][:] = 0
+        channels["stencil.X"][10:20, 10 + pace * number : 20 + pace * number] = 3
+
+    found = [f for f in check(write_frames([1, 2, 3], change=change), SequenceOptions("stss")).findings if "motion: 0" in f.text]
+    assert [f.level for f in found] == [level]
+    assert ("though an object moves by 3.0 pixels" in found[0].text) == bool(pace)
+
+
 def test_what_is_no_number_in_the_background_does_not_matter(write_frames, tmp_path):
     """A run replaces it there, and a check must not say that the run refuses it."""
     channels = ("normal_X", "basecolor_R", "roughness_X", "metallic_X", "nov_X", "stencil_X", "position_X")
