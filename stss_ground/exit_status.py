@@ -15,6 +15,8 @@ from stss_ground.terminal import accept_any_text, echo
 
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 """Errors of a write to standard output where no more data fits."""
+_NO_ARGUMENTS: Any = getattr(click.exceptions, "NoArgsIsHelpError", ())
+"""Its message is the help; up to version 8.1 click prints that itself."""
 _NO_MEMORY = "out of memory: the system gives this process no more"
 _SHORT_OF_MEMORY = ("failed to map segment", "annot allocate memory", "can't start new thread")
 """Messages of libraries that lack memory and raise no MemoryError."""
@@ -32,6 +34,10 @@ def run_guarded(command: click.Command, *mistakes: type[Exception]) -> None:
         _require_utf8(sys.argv[1:])
         status = command.main(standalone_mode=False)
     except click.ClickException as error:
+        if isinstance(error, _NO_ARGUMENTS):
+            for line in error.format_message().splitlines():
+                echo(line, err=True)
+            sys.exit(2)
         _fail(" ".join(error.format_message().split()))
     except (UserError, *mistakes) as error:
         _fail(str(error))

@@ -50,6 +50,14 @@ def changeable(frames, tmp_path):
     return shutil.copytree(frames, tmp_path / "frames")
 
 
+@pytest.mark.parametrize("group", [(), ("weights",)])
+def test_a_command_alone_prints_its_help_in_lines(group):
+    words = [sys.executable, "-m", "stss", *group]
+    alone, asked = (subprocess.run(words + more, capture_output=True, text=True, check=False) for more in ([], ["--help"]))
+    assert (alone.returncode, asked.returncode) == (2, 0)
+    assert alone.stdout + alone.stderr == asked.stdout
+
+
 @pytest.fixture(scope="module")
 def by_network(device, frames, weights, tmp_path_factory):
     """Output of the whole sequence on the device, made by a separate process. Tests must not change it."""
