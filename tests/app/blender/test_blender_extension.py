@@ -266,8 +266,9 @@ def test_a_scene_becomes_supersampled_frames_without_a_hand_on_it(bpy_python, pa
         assert np.isfinite(frames[at]).all()
         assert errors[1] < 0.7 * min(errors[0], errors[2]), errors
     page = re.search(r"```python\n(.*?)```", (ROOT / "docs/blender.md").read_text(), re.S).group(1)
-    words = [bpy_python[0], "-c", page + "import os; os._exit(0)"]  # in a process that never saw the zip
-    shell = environment | {"PWD": str(tmp_path)}  # as a shell sets it: Blender goes by it
+    (tmp_path / "stss-blender.zip").symlink_to(packed)
+    words = [bpy_python[0], "-c", page + "import os; os._exit(0)"]  # for a user who has no extension yet
+    shell = environment | {"PWD": str(tmp_path), "BLENDER_USER_RESOURCES": str(tmp_path / "other")}  # Blender goes by PWD
     again = subprocess.run(words, cwd=tmp_path, env=shell, capture_output=True, text=True, check=False, timeout=900)
     assert again.returncode == 0, again.stderr
     assert len([*(tmp_path / "stss" / "out").glob("frame.*.png")]) == 8
