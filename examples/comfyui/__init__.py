@@ -56,17 +56,18 @@ class LoadFrames:
     @classmethod
     def IS_CHANGED(cls, folder: str, profile: str, first: int, count: int) -> str:  # noqa: N802
         """Another value once a file is another one: the frames are then read again."""
-        table = settle_profile(Path(folder), None if profile == "auto" else profile)
-        frames = find_frames(Path(folder), table.endings)
+        table = settle_profile(_path(folder), None if profile == "auto" else profile)
+        frames = find_frames(_path(folder), table.endings)
         return repr([(n, path.stat().st_mtime_ns) for n in sorted(frames) for path in frames[n].values()])
 
     def load(self, folder: str, profile: str, first: int, count: int) -> tuple[Any, GBuffer]:
         """Read ``count`` display frames; every second one from the first rendered one counts as rendered."""
-        sequence = stss.open_sequence(folder, None if profile == "auto" else profile)
+        sequence = stss.open_sequence(_path(folder), None if profile == "auto" else profile)
         start = min((n for n in sequence.rendered if n >= first), default=None)
         if start is None:
             raise InputError(f"{folder}: no rendered frame from {first} on")
-        numbers = [n for n in sequence.numbers if start <= n < start + count]
+        numbers = range(start, min(start + count, max(sequence.numbers) + 1))
+        sequence.require(numbers)
         encode = transfer("srgb" if sequence.profile.color_domain == "linear" else "none").encode
         loaded = [sequence.load(n, color=(n - start) % 2 == 0) for n in numbers]
         colors = [encode(frame.color) for frame in loaded if frame.color is not None]
@@ -107,6 +108,11 @@ class Supersample:
         outputs = [output for frame in _with_colors(gbuffer, colors) if (output := loop.push(frame)) is not None and step()]
         frames = np.stack([np.clip(output.image, 0, 1) for output in outputs])
         return _tensor(frames), _tensor(np.stack([~output.valid for output in outputs]).astype(np.float32))
+
+
+def _path(text: str) -> Path:
+    """A folder as it was pasted: Windows copies a path with quotes."""
+    return Path(text.strip().strip('"'))
 
 
 def _with_colors(gbuffer: GBuffer, colors: np.ndarray[Any, Any]) -> Iterator[stss.Buffers]:

@@ -93,6 +93,16 @@ def test_images_that_other_nodes_made_are_shown(nodes, demo):
         call(nodes, "StssLoadFrames", folder=str(demo / "frames"), profile="stss", first=9, count=2)
 
 
+def test_a_folder_as_it_is_pasted_and_a_frame_that_is_missing(nodes, demo, tmp_path):
+    """A display frame that is left out without a word would shift all sound and motion behind it."""
+    shutil.copytree(demo / "frames", tmp_path / "a b")
+    options = {"folder": f'"{tmp_path / "a b"}"\n', "profile": "auto", "first": 0, "count": 4}
+    assert call(nodes, "StssLoadFrames", **options)[1].rendered == (True, False, True, False)
+    sorted((tmp_path / "a b").iterdir())[1].unlink()
+    with pytest.raises(InputError, match="frame 1: not there"):
+        call(nodes, "StssLoadFrames", **options)
+
+
 def test_progress_and_files_that_changed(nodes, demo, monkeypatch):
     steps = []
     bar = SimpleNamespace(ProgressBar=lambda count: SimpleNamespace(update=steps.append))
