@@ -425,9 +425,12 @@ def loaded(text):
 def test_the_profile_of_the_page_is_that_of_the_engines_page():
     """One engine's conventions as a file and as a call."""
     file = loaded(re.search(r"```toml\n(base.*?)```", page("profiles.md"), re.S)[1])
+    assert file.channels["stencil"] == (("id.red",), ("ObjectId",))
     place = {}
     exec(re.search(r"import math\n\nimport stss\n\nrules = .*?\n\)", page("engines.md"), re.S)[0], place)
-    assert replace(place["rules"], name=file.name, title=file.title, path=file.path) == file
+    own = place["rules"]
+    assert replace(own, name=file.name, title=file.title, path=file.path, channels=file.channels) == file
+    assert {n: file.channels[n] for n in own.channels if n not in ("normal", "stencil")}.items() <= own.channels.items()
 
 
 def test_keys_of_a_profile():
