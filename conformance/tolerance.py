@@ -63,7 +63,9 @@ BOUNDS = {
     "sums.signed": Bound(8, 0, "sum of N such errors over sqrt(N): standard deviations of what is rounded either way as often"),
     "quarter": Bound(1, 0, "fraction -+ 1/4, below 2, rounded once; scale: 1 pixel, times slope and contrast, as motion"),
     "accumulate": Bound(
-        4, 0, "5/8 of a difference of at most 2 peaks and its product, or 3/8; a sum; besides the reading's; scale: the box"
+        3,
+        0,
+        "a quarter and an eighth of differences of at most 2 peaks, their sum, and one; besides the readings'; scale: the box",
     ),
     "detail": Bound(
         96, 0, "a place 36: luma 4, product, 12 sums twice, quotient, weights 3 of the contrast; four, halved; 4; first colour 20"

@@ -133,7 +133,7 @@ def demo(
     if weights != BILINEAR:  # without a network the reference is fast enough, and needs no compilation
         bilinear = load(BILINEAR)
         comparisons["bilinear"] = score("bilinear", bilinear, open_backend("ref", bilinear.weights))
-    comparisons["output"] = score("output", loaded, open_backend(backend, loaded.weights, compute, tell=tell))
+    comparisons["output"] = score("output", loaded, open_backend(backend, loaded, compute, tell=tell))
     _write_page(out, sequence, comparisons)
     console.print(f"page to look at: {out / 'page.html'}", soft_wrap=True, highlight=False, markup=False)
 

@@ -1,44 +1,55 @@
 # SPDX-License-Identifier: MIT
-"""Stage accumulate: the display frame and the one shown before it, in one image that flickers less."""
+"""Stage accumulate: a display frame's image and those of the two frames before it, in one that flickers less."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from stss_ref.arrays import Image, require
-from stss_ref.constants import EARLIER_SHARE
-from stss_ref.sample import lerp
+from stss_ref.arrays import Array, ArrayError, Image, require
+from stss_ref.constants import EARLIER_SHARES
 from stss_ref.warp import warp
 
 
-def accumulate(image: Image, before: Image, motion: Image) -> Image:
-    """Mix a display frame with the one shown before it.
+def accumulate(image: Image, earlier: Array, motions: Array) -> Image:
+    """Mix an image with those of the one or two display frames before it.
 
-    ``shown(p) = image(p) + (clamp(warp(before)(p), box(p)) - image(p)) 3 / 8`` where the motion leads into the frame, else ``image(p)``.
-    ``box(p)``: the smallest and the largest value of each channel of ``image`` in the 3 x 3 pixels around ``p`` that lie in the frame.
-    A display pixel has twice the motion of the pixel that it lies in.
+    ``shown(p) = image(p) + 1/4 (c_1(p) - image(p)) + 1/8 (c_2(p) - image(p))``. ``c_k(p)`` is ``clamp(warp(earlier_k)(p), box(p))`` where
+    the motion to that frame leads into it, else ``image(p)``, and so without a second one. ``box(p)``: the smallest and the largest value
+    of each channel of ``image`` in the 3 x 3 pixels around ``p`` that lie in the frame. A display pixel has twice the motion of the pixel
+    that it lies in.
 
     Source: Karis, High Quality Temporal Supersampling, SIGGRAPH 2014; ours: decision 45.
 
     Args:
         image: (2H, 2W, C) of stage ``frame``; finite.
-        before: (2H, 2W, C) the image shown for the display frame before: an earlier result, or the first frame's ``image``; finite.
-        motion: (H, W, 2) the display frame's own, pixels, current -> previous; non-finite is off screen.
+        earlier: (k, 2H, 2W, C) of stage ``frame`` too, of the one or two display frames before, newest first; finite.
+        motions: (k, H, W, 2) from the frame to each of them (stage ``motion_chain``), pixels; non-finite is off screen.
 
     Returns:
         shown: (2H, 2W, C) as ``image``, within ``box``.
 
     Raises:
-        ArrayError: shapes or dtypes differ, or an image is not finite.
+        ArrayError: shapes or dtypes differ, an image is not finite, or there are more than two.
     """
-    require(
-        {"motion": (motion, "H, W, 2"), "image": (image, "2H, 2W, C"), "before": (before, "2H, 2W, C")}, non_finite=["motion"]
+    sizes = require(
+        {"motions": (motions, "k, H, W, 2"), "image": (image, "2H, 2W, C"), "earlier": (earlier, "k, 2H, 2W, C")},
+        non_finite=["motions"],
     )
+    if sizes["k"] > len(EARLIER_SHARES):
+        raise ArrayError(f"earlier: expected at most {len(EARLIER_SHARES)} images, got {sizes['k']}")
 
-    moved = (2 * motion).repeat(2, axis=0).repeat(2, axis=1)
     low, high = box(image)
-    history, inside = warp(before, moved)
-    return np.where(inside[..., None], lerp(image, np.clip(history, low, high), EARLIER_SHARE), image)
+    total = np.zeros_like(image)
+    for then, motion, share in zip(earlier, motions, EARLIER_SHARES, strict=False):
+        # A sum of differences and not of images: what rests stays, bit for bit.
+        total = total + _apart(image, then, motion, low, high) * share
+    return image + total
+
+
+def _apart(image: Image, earlier: Image, motion: Image, low: Image, high: Image) -> Image:
+    """``c_k - image``; 0 where the motion does not lead into the frame."""
+    history, inside = warp(earlier, (2 * motion).repeat(2, axis=0).repeat(2, axis=1))
+    return np.where(inside[..., None], np.clip(history, low, high) - image, 0)
 
 
 def box(image: Image) -> tuple[Image, Image]:

@@ -19,9 +19,8 @@ Gather = Literal["longest", "nearest", "bilinear"]
 """How a motion is read between pixels: see ``stss_ref.motion_chain.GATHERS``."""
 
 
-EARLIER_SHARE = 0.375
-"""The share that stage ``accumulate`` takes of the image shown before: one that lies n frames back has ``EARLIER_SHARE ** n``
-(decision 45)."""
+EARLIER_SHARES = (0.25, 0.125)
+"""The shares that stage ``accumulate`` takes of earlier images, newest first (decision 45)."""
 
 
 @dataclass(frozen=True)

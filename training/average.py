@@ -11,7 +11,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from stss.weights.file import load, save
+from stss.weights.file import ALIASED, MADE_FOR, load, save
 from stss_cl.liveness import drop_tiny
 from stss_ground.errors import InputError
 from stss_ground.output.places import require_places
@@ -42,6 +42,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         drop_tiny(loaded[0].weights | tensors),
         {
             "average_of": json.dumps([_unfold(dict(each.metadata)) for each in loaded]),
+            **({MADE_FOR: ALIASED} if all(each.made_for_aliased for each in loaded) else {}),
         },
     )
 

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from stss.weights.file import load, save
+from stss.weights.file import ALIASED, MADE_FOR, load, save
 from stss_cl.liveness import drop_tiny, find_live
 from stss_ground.output.places import require_places
 from stss_ref.weights import LAYERS, Weights
@@ -65,7 +65,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     require_places({"--out": options.out}, [options.data, Path(options.weights)])
     loaded = load(options.weights)
     pruned = prune(loaded.weights, mean_below(loaded.weights, load_shards(options.data, loaded.weights)))
-    save(options.out, pruned, {"pruned": "below half size", "average_of": json.dumps([dict(loaded.metadata)])})
+    made_for = {MADE_FOR: ALIASED} if loaded.made_for_aliased else {}
+    save(options.out, pruned, {"pruned": "below half size", "average_of": json.dumps([dict(loaded.metadata)]), **made_for})
 
 
 if __name__ == "__main__":

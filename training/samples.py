@@ -27,8 +27,7 @@ from numpy.typing import NDArray
 from conformance.scenes import render
 from stss.cli.options import MAX_COUNT, sequence_options
 from stss.frames.buffers import Buffers
-from stss.frames.display_frame import WINDOW, DisplayFrame, frame_inputs, prepare, window_at
-from stss.frames.output import plan
+from stss.frames.display_frame import WINDOW, DisplayFrame, frame_inputs, plan, prepare, window_at
 from stss.images.color import transfer
 from stss.images.headers import MAX_SIDE
 from stss.quality.output_and_truth import find_images, read_shown, require_size

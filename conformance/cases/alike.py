@@ -197,9 +197,9 @@ def _rrm(rng: Generator) -> tuple[Inputs, None]:
 
 
 def _accumulate(rng: Generator) -> tuple[Inputs, None]:
-    """Most of what was shown before lies within the box, so that any of it shows."""
-    image, before = rng.random((2, 2 * SIDE, 2 * SIDE, 3))
-    return {"image": image, "before": 0.4 + 0.2 * before, "motion": _shift_right(1)[0]}, None
+    """Most of the earlier images lies within the box, so that any of it shows."""
+    image, *earlier = rng.random((3, 2 * SIDE, 2 * SIDE, 3))
+    return {"image": image, "earlier": 0.4 + 0.2 * np.stack(earlier), "motions": _shift_right(2)}, None
 
 
 def _frame(rng: Generator) -> tuple[Inputs, Weights]:

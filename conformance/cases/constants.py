@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from conformance.cases.large_inputs import frame_case
 from conformance.cases.stage_inputs import Inputs, make_weights
-from stss_ref.constants import EARLIER_SHARE, HoleLimits
+from stss_ref.constants import EARLIER_SHARES, HoleLimits
 from stss_ref.reshade import COSINE, FOOTPRINTS, RADIUS, STATIC_COSINE
 from stss_ref.weights import Weights
 
@@ -219,9 +219,10 @@ def _dark(rng: Generator) -> tuple[Inputs, Weights]:
 
 
 def _mix(_: Generator) -> Inputs:
-    """Black and white pixels in turn, and the opposite before."""
+    """Black and white pixels in turn, the opposite just before, and the same before that on the left."""
     image = np.repeat(np.indices((4, 4)).sum(axis=0)[..., None] % 2, 3, axis=-1).astype(np.float64)
-    return {"image": image, "before": 1 - image, "motion": np.zeros((2, 2, 2))}
+    older = np.concatenate([image[:, :2], 1 - image[:, 2:]], axis=1)
+    return {"image": image, "earlier": np.stack([1 - image, older]), "motions": np.zeros((2, 2, 2, 2))}
 
 
 CONSTANTS = (
@@ -247,7 +248,8 @@ CONSTANTS = (
     Constant("least sum of weights", "1e-6", "erm", _materials),
     Constant("window", "5", "erm", _window),
     Constant("least colour", "0", "frame", _dark),
-    Constant("share of the image shown before", str(EARLIER_SHARE), "accumulate", _mix),
+    Constant("share of the newer image", str(EARLIER_SHARES[0]), "accumulate", _mix),
+    Constant("share of the older image", str(EARLIER_SHARES[1]), "accumulate", _mix),
 )
 
 

@@ -86,8 +86,8 @@ def _reshade(rng: Generator) -> Inputs:
 
 
 def _accumulate(rng: Generator) -> Inputs:
-    image, before = rng.random((2, 2 * SIZE[0], 2 * SIZE[1], 3))
-    return {"image": image, "before": before, "motion": _motion(rng, SIZE)}
+    image, *earlier = rng.random((3, 2 * SIZE[0], 2 * SIZE[1], 3))
+    return {"image": image, "earlier": np.stack(earlier), "motions": np.stack([_motion(rng, SIZE) for _ in earlier])}
 
 
 def _frame(second: SecondColor, fill: HoleFill, rng: Generator) -> tuple[Inputs, Weights]:

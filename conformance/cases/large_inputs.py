@@ -113,8 +113,8 @@ def _rrm(_: Moving, size: Size, rng: Generator) -> Inputs:
 
 
 def _accumulate(moving: Moving, size: Size, rng: Generator) -> Inputs:
-    image, before = rng.random((2, 2 * size[0], 2 * size[1], 3), np.float32)
-    return {"image": image, "before": before, "motion": moving(rng, size)}
+    image, *earlier = rng.random((3, 2 * size[0], 2 * size[1], 3), np.float32)
+    return {"image": image, "earlier": np.stack(earlier), "motions": np.stack([moving(rng, size) for _ in earlier])}
 
 
 def network_case(stage: str, size: Size, rng: Generator) -> tuple[Inputs, Weights]:

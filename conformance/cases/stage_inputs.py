@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 
 from conformance.cases.planes import SEEDS, Size, colors, dyadic_motions, masks, motions, sizes
 from conformance.scenes import SCENES, Rendered, render
-from stss_ref.constants import HOLE_FILLS, HOLE_TESTS, HoleFill, HoleLimits, HoleTest
+from stss_ref.constants import EARLIER_SHARES, HOLE_FILLS, HOLE_TESTS, HoleFill, HoleLimits, HoleTest
 from stss_ref.holes import squared_footprint
 from stss_ref.reshade import COSINE, FOOTPRINTS, STATIC_COSINE
 from stss_ref.weights import SECOND_COLORS, TENSORS, SecondColor, Weights, random
 
-Inputs = dict[str, NDArray[Any]]
+Plane = NDArray[Any]
+Inputs = dict[str, Plane]
 PAPER = st.sampled_from([0, 0, 0, 1, -1, 2, 255]).map(lambda paper: np.array([paper], np.int32))
 """Stage holes' input that asks for the paper's test: any number but 0 does."""
 CHANNELS = 1, 2, 3, 4, 5, 8, 17, 33
@@ -213,7 +214,7 @@ def rrm_inputs(draw: st.DrawFn, largest: int = 20) -> Inputs:
 
 @st.composite
 def accumulate_inputs(draw: st.DrawFn, largest: int = 10, before: str = "any", motion: str = "any") -> Inputs:
-    """Stage accumulate: what was shown before lies within the box, beside it, far outside, or is the same image.
+    """Stage accumulate: one or two earlier images, each within the box, beside it, far outside, or the same as the image.
 
     Args:
         draw: Hypothesis's function.
@@ -222,24 +223,30 @@ def accumulate_inputs(draw: st.DrawFn, largest: int = 10, before: str = "any", m
         motion: ``still``, ``out`` of the frame at every pixel, or any.
     """
     size = draw(sizes(largest))
-    height, width = 2 * size[0], 2 * size[1]
-    rng = np.random.default_rng(draw(SEEDS))
-    image = draw(colors((height, width), 3))
+    image = draw(colors((2 * size[0], 2 * size[1]), 3))
+    count = draw(st.integers(1, len(EARLIER_SHARES)))
+    earlier = [draw(_earlier_images(image, before)) for _ in range(count)]
+    return {"image": image, "earlier": np.stack(earlier), "motions": np.stack([draw(_moved(size, motion)) for _ in earlier])}
+
+
+@st.composite
+def _earlier_images(draw: st.DrawFn, image: Plane, before: str) -> Plane:
     kind = draw(st.sampled_from(["same", "near", "beside", "beside", "any"])) if before == "any" else before
-    earlier = draw(colors((height, width), 3)) if kind == "any" else image
     if kind in ("near", "beside"):
-        apart = rng.uniform(-1, 1, image.shape) * np.ptp(image)
-        earlier = image + apart * (0.1 if kind == "near" else draw(st.sampled_from([0.5, 3.0])))
+        apart = np.random.default_rng(draw(SEEDS)).uniform(-1, 1, image.shape) * np.ptp(image)
+        return image + apart * (0.1 if kind == "near" else draw(st.sampled_from([0.5, 3.0])))
+    return draw(colors(image.shape[:2], 3)) if kind == "any" else image
+
+
+@st.composite
+def _moved(draw: st.DrawFn, size: Size, motion: str) -> Plane:
     if motion == "out":
-        moved = rng.uniform(-1, 1, (*size, 2))
-        axis = rng.integers(2, size=size)[..., None] == np.arange(2)
-        moved = np.where(
-            axis, np.copysign(np.array([width, height]) * rng.choice([1.0, 9.0, np.inf], size)[..., None], moved), moved
-        )
-    else:
-        short = [motions(size, broken=True), dyadic_motions(size, "short"), dyadic_motions(size, "half")]
-        moved = draw(dyadic_motions(size, "still") if motion == "still" else st.one_of(*short))
-    return {"image": image, "before": earlier, "motion": moved}
+        rng = np.random.default_rng(draw(SEEDS))
+        moved, axis = rng.uniform(-1, 1, (*size, 2)), rng.integers(2, size=size)[..., None] == np.arange(2)
+        far = 2.0 * np.array(size[::-1]) * rng.choice([1.0, 9.0, np.inf], size)[..., None]
+        return np.where(axis, np.copysign(far, moved), moved)
+    short = [motions(size, broken=True), dyadic_motions(size, "short"), dyadic_motions(size, "half")]
+    return draw(dyadic_motions(size, "still") if motion == "still" else st.one_of(*short))
 
 
 @st.composite

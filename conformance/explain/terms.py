@@ -14,7 +14,7 @@ from conformance.answers.expected import largest
 from conformance.judging.findings import Finding
 from conformance.protocol.stages import hole_test, reference
 from stss_ref.accumulate import box
-from stss_ref.constants import EARLIER_SHARE, HoleLimits
+from stss_ref.constants import EARLIER_SHARES, HoleLimits
 from stss_ref.holes import squared_footprint
 from stss_ref.motion_chain import chain_steps, gather_longest, truncated
 from stss_ref.occlusion_warp import FARTHEST, splat
@@ -51,9 +51,9 @@ def terms_at_worst(finding: Finding) -> tuple[str, ...]:
 
 def _size(inputs: Inputs) -> tuple[int, int]:
     """(H, W) of an image stage's outputs."""
-    plane = inputs["motions"][0] if "motions" in inputs else inputs.get("image", inputs.get("motion", inputs.get("valid")))
-    assert plane is not None
-    return plane.shape[0], plane.shape[1]
+    plane = next(inputs[name] for name in ("valid", "image", "motions", "motion") if name in inputs)
+    height, width = plane.shape if plane.ndim == 2 else plane.shape[-3:-1]
+    return height, width
 
 
 def _format(value: Any) -> str:
@@ -226,21 +226,24 @@ def _rrm(inputs: Inputs, y: int, x: int) -> list[Term]:
 
 
 def _accumulate(inputs: Inputs, y: int, x: int) -> list[Term]:
-    image, before = inputs["image"], inputs["before"]
-    moved = (2 * inputs["motion"]).repeat(2, axis=0).repeat(2, axis=1)
-    at = follow(moved)
+    image = inputs["image"]
     low, high = box(image)
-    history = bilinear(before, taps(at))
-    return [
-        ("motion, twice that of the low-resolution pixel", _format(moved[y, x])),
-        ("leads to", _leads_to(at, y, x)),
-        ("inside, else the image", _format(leads_inside(at)[y, x].astype(int))),
-        *_read(before, at, y, x),
-        ("box, least", _format(low[y, x])),
-        ("box, largest", _format(high[y, x])),
-        ("clamped into the box", _format(np.clip(history, low, high)[y, x])),
-        (f"image, which gets {EARLIER_SHARE:g} of that", _format(image[y, x])),
-    ]
+    terms = [("image", _format(image[y, x])), ("box, least", _format(low[y, x])), ("box, largest", _format(high[y, x]))]
+    for back, (earlier, motion, share) in enumerate(
+        zip(inputs["earlier"], inputs["motions"], EARLIER_SHARES, strict=False), start=1
+    ):
+        moved = (2 * motion).repeat(2, axis=0).repeat(2, axis=1)
+        at = follow(moved)
+        history = bilinear(earlier, taps(at))
+        more = [
+            ("motion, twice that of the low-resolution pixel", _format(moved[y, x])),
+            ("leads to", _leads_to(at, y, x)),
+            ("inside, else the image", _format(leads_inside(at)[y, x].astype(int))),
+            *_read(earlier, at, y, x),
+            (f"clamped into the box, {share:g} of it", _format(np.clip(history, low, high)[y, x])),
+        ]
+        terms += [(f"{back} back: {name}", value) for name, value in more]
+    return terms
 
 
 TERMS: dict[str, Callable[[Inputs, int, int], Sequence[Term]]] = {

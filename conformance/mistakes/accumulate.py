@@ -13,9 +13,8 @@ import numpy as np
 from conformance.mistakes.image import READS
 from conformance.protocol.reference_copy import Copy, Mistake, change_arguments, fault, put, returns, wrap
 from stss_ref.accumulate import box
-from stss_ref.constants import EARLIER_SHARE
+from stss_ref.constants import EARLIER_SHARES
 from stss_ref.resample import upsample_centres
-from stss_ref.sample import lerp
 from stss_ref.warp import warp
 
 Change = Callable[..., Any]
@@ -37,11 +36,6 @@ def _moves(name: str, what: str, change: Change) -> Mistake:
 
 def _box(name: str, what: str, change: Change) -> Mistake:
     return _accumulate(name, what, put("accumulate.box", change))
-
-
-def _mean(name: str, what: str, mean: Callable[[Any, Any], Any], **marks: Any) -> Mistake:
-    """The mean of the image and the clamped one; only where motion leads into the frame."""
-    return _accumulate(name, what, put("accumulate.lerp", lambda image, history, _: mean(image, history)), **marks)
 
 
 def _over(steps: Sequence[Step], tile: int = 1 << 30) -> Change:
@@ -84,26 +78,67 @@ def _deviations(image: Any) -> Any:
     return mean - spread, mean + spread
 
 
-def _by_luma(right: Change, image: Any, before: Any, motion: Any) -> Any:
+def _by_luma(right: Change, image: Any, earlier: Any, motions: Any) -> Any:
     """The colours are the image's own, and their luma is the mean's."""
-    own, other = (np.broadcast_to((a * LUMA.astype(a.dtype)).sum(axis=-1, keepdims=True), a.shape) for a in (image, before))
-    return image + (right(own, other, motion) - own)
+    own, others = (np.broadcast_to((a * LUMA.astype(a.dtype)).sum(axis=-1, keepdims=True), a.shape) for a in (image, earlier))
+    return image + (right(own, others, motions) - own)
 
 
 def _box_of_before(copy: Copy) -> None:
-    earlier: list[Any] = []
+    newest: list[Any] = []
 
-    def whole(right: Change, image: Any, before: Any, motion: Any) -> Any:
-        earlier[:] = [before]
-        return right(image, before, motion)
+    def whole(right: Change, image: Any, earlier: Any, motions: Any) -> Any:
+        newest[:] = earlier[:1]
+        return right(image, earlier, motions)
 
     wrap("accumulate.accumulate", whole)(copy)
-    wrap("accumulate.box", lambda right, _: right(earlier[0]))(copy)
+    wrap("accumulate.box", lambda right, _: right(newest[0]))(copy)
 
 
-def _image_clamped(image: Any, before: Any, motion: Any) -> Any:
-    history, inside = warp(before, (2 * motion).repeat(2, axis=0).repeat(2, axis=1))
-    return np.where(inside[..., None], lerp(np.clip(image, *box(history)), history, EARLIER_SHARE), image)
+def _moved(image: Any, earlier: Any, motions: Any) -> list[tuple[Any, Any]]:
+    """Each earlier image, moved, the image itself where motion leads out of the frame; and where it does not."""
+    pairs = [warp(a, (2 * m).repeat(2, axis=0).repeat(2, axis=1)) for a, m in zip(earlier, motions, strict=True)]
+    return [(np.where(inside[..., None], moved, image), inside[..., None]) for moved, inside in pairs]
+
+
+def _image_clamped(image: Any, earlier: Any, motions: Any) -> Any:
+    moved = zip(_moved(image, earlier, motions), EARLIER_SHARES, strict=False)
+    return image + sum((a - np.clip(image, *box(a))) * inside * share for (a, inside), share in moved)
+
+
+def _mean_clamped(image: Any, earlier: Any, motions: Any) -> Any:
+    shares = EARLIER_SHARES[: len(earlier)]
+    mean = sum(a * share for (a, _), share in zip(_moved(image, earlier, motions), shares, strict=True)) / sum(shares)
+    return image + (np.clip(mean, *box(image)) - image) * sum(shares)
+
+
+def _both_or_none(right: Change, image: Any, earlier: Any, motions: Any) -> Any:
+    inside = np.logical_and.reduce([inside for _, inside in _moved(image, earlier, motions)])
+    return np.where(inside, right(image, earlier, motions), image)
+
+
+def _other_instead(right: Change, image: Any, earlier: Any, motions: Any) -> Any:
+    """Where one motion leads out of the frame, or there is one image, it has the shares of both."""
+    there = [inside for _, inside in _moved(image, earlier, motions)]
+    shares = sum(inside * share for inside, share in zip(there, EARLIER_SHARES, strict=False))
+    more = np.where(shares > 0, sum(EARLIER_SHARES) / np.maximum(shares, EARLIER_SHARES[-1]), 1)
+    return image + (right(image, earlier, motions) - image) * more.astype(image.dtype)
+
+
+def _products(image: Any, earlier: Any, motions: Any) -> Any:
+    """The sum of products, in place of a sum of differences."""
+    shares = EARLIER_SHARES[: len(earlier)]
+    shown = image * (1 - sum(shares))
+    for (a, _), share in zip(_moved(image, earlier, motions), shares, strict=True):
+        shown = shown + np.clip(a, *box(image)) * share
+    return shown
+
+
+def _one_by_one(right: Change, image: Any, earlier: Any, motions: Any) -> Any:
+    """Mixes the older image into the newer one, and the result into the image."""
+    for a, m in zip(earlier[::-1], motions[::-1], strict=True):
+        image = right(image, a[None], m[None])
+    return image
 
 
 def _halves(moved: Any) -> Any:
@@ -113,10 +148,19 @@ def _halves(moved: Any) -> Any:
 
 
 ACCUMULATE = (
-    _takes("undoubled", "low-resolution motion for display pixels", motion=lambda motion: motion / 2),
-    _takes("backwards", "follows the motion backwards", motion=np.negative),
-    _takes("lost_at_its_place", "non-finite motion counts as 0", motion=lambda motion: np.where(np.isfinite(motion), motion, 0)),
-    _takes("images_swapped", "the two images swapped", image=lambda _, before: before, before=lambda _, image: image),
+    _takes("undoubled", "low-resolution motion for display pixels", motions=lambda motions: motions / 2),
+    _takes("backwards", "follows the motion backwards", motions=np.negative),
+    _takes("lost_at_its_place", "non-finite motion counts as 0", motions=lambda motions: np.where(np.isfinite(motions), motions, 0)),
+    _takes(
+        "images_swapped", "the image swapped with the newest of the earlier ones",
+        image=lambda _, earlier: earlier[0], earlier=lambda earlier, image: np.stack([image, *earlier[1:]]),
+    ),
+    _takes("oldest_first", "the two earlier images in the other order", earlier=lambda earlier: earlier[::-1]),
+    _takes("motion_of_newest", "both earlier images by the newer one's motion", motions=lambda motions: motions[[0] * len(motions)]),
+    _takes("unchained", "the older image by that frame's own motion", motions=lambda m: np.stack([m[0], *(m[1:] - m[:1])])),
+    _takes("newest_alone", "the older image is left out", earlier=lambda earlier: earlier[:1], motions=lambda motions: motions[:1]),
+    _takes("oldest_alone", "the older image alone", earlier=lambda earlier: earlier[-1:], motions=lambda motions: motions[-1:]),
+    _takes("newest_twice", "the newer image twice", earlier=lambda earlier: earlier[[0, 0]], motions=lambda motions: motions[[0, 0]]),
     _moves("motion_between", "reads the motion bilinearly", upsample_centres),
     _moves("motion_of_next", "every odd pixel has the motion of the next one", _halves),
     _moves("motion_repeated", "repeats the motion as a whole, not each pixel's", lambda moved: np.tile(moved, (2, 2, 1))),
@@ -130,18 +174,29 @@ ACCUMULATE = (
     _box("box_of_all_channels", "one box for all channels", _one_for_all),
     _box("deviations", "a box of one standard deviation", _deviations),
     _box("tile_halo", "boxes end at tiles of 16 x 16", _over(NINE, 16)),
-    _accumulate("half", "one half of each", put("accumulate.EARLIER_SHARE", 0.5)),
-    _accumulate("shares_swapped", "5/8 of the earlier image", put("accumulate.EARLIER_SHARE", 0.625)),
-    _accumulate("not_mixed", "the image as it is", put("accumulate.EARLIER_SHARE", 0.0)),
+    *(
+        _accumulate(name, what, put("accumulate.EARLIER_SHARES", shares))
+        for name, what, shares in (
+            ("shares_swapped", "1/8 of the newer image, 1/4 of the older", (0.125, 0.25)),
+            ("equal_shares", "3/16 of each earlier image", (0.1875, 0.1875)),
+            ("newer_alone", "3/8 of the newer image alone", (0.375, 0.0)),
+            ("eighth_of_the_rest", "of the older image 1/8 of the rest", (0.25, 0.09375)),
+            ("not_mixed", "the image as it is", (0.0, 0.0)),
+        )
+    ),
     _accumulate(
         "edge_of_the_frame", "off screen the nearest pixel of the frame",
         returns("accumulate.warp", lambda result: (result[0], np.ones_like(result[1]))),
     ),
     _accumulate("luma_alone", "mixes and clamps the luma alone", wrap("accumulate.accumulate", _by_luma)),
     _accumulate("box_of_before", "the box of the earlier image", _box_of_before),
-    _accumulate("image_clamped", "clamps the image, not the earlier one", put("accumulate.accumulate", _image_clamped)),
+    _accumulate("image_clamped", "clamps the image, not the earlier ones", put("accumulate.accumulate", _image_clamped)),
+    _accumulate("mean_clamped", "clamps the mean of the earlier images", put("accumulate.accumulate", _mean_clamped)),
+    _accumulate("one_by_one", "mixes one image after the other", wrap("accumulate.accumulate", _one_by_one)),
+    _accumulate("both_or_none", "the image alone where either motion leads out", wrap("accumulate.accumulate", _both_or_none)),
+    _accumulate("other_instead", "the other image twice where one motion leads out", wrap("accumulate.accumulate", _other_instead)),
     _accumulate("up_to_1", "colours end at 0 and 1", returns("accumulate.accumulate", lambda shown: shown.clip(0, 1))),
     _accumulate("bgr", "colours of the earlier image in reverse", change_arguments("accumulate.warp", color=lambda c: c[..., ::-1])),
-    _mean("products", "5/8 a + 3/8 b: what rests does not stay", lambda a, b: a * 0.625 + b * 0.375, bits=True),
+    _accumulate("products", "a sum of products: what rests does not stay", put("accumulate.accumulate", _products), bits=True),
     *(_accumulate(name, what, change_arguments("accumulate.warp", color=change), large=True) for name, what, change in READS),
 )  # fmt: skip

@@ -215,7 +215,7 @@ _ROWS = (
     ),
     _stage(
         "accumulate",
-        {"image": "2H 2W 3", "before": "2H 2W 3", "motion": "H W 2"},
+        {"image": "2H 2W 3", "earlier": "k 2H 2W 3", "motions": "k H W 2"},
         {"shown": "2H 2W 3"},
         lambda a, _: {"shown": accumulate(**a)},
     ),

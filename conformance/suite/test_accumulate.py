@@ -21,20 +21,20 @@ from conformance.suite.properties import (
 
 @cases(accumulate_inputs())
 def test_agrees_with_the_reference(judge: Judge, inputs: Inputs) -> Talk:
-    """The mean is the float64 reference's, with what was shown before within the box, at its border and far outside."""
+    """The mean is the float64 reference's, with earlier images within the box, at its border and far outside."""
     yield from judge.agrees("accumulate", inputs)
 
 
 @cases(accumulate_inputs(before="same", motion="still"))
 def test_what_rests_stays(judge: Judge, inputs: Inputs) -> Talk:
-    """An image that was shown before and does not move comes back bit for bit, however often."""
+    """An image that is the earlier ones' and does not move comes back bit for bit."""
     got = yield ask("accumulate", inputs)
     judge.same("accumulate.shown", got["shown"], judge.round_inputs(inputs, "accumulate")["image"])
 
 
 @cases(accumulate_inputs(motion="out"))
 def test_what_was_off_screen_is_the_image(judge: Judge, inputs: Inputs) -> Talk:
-    """Where motion leads out of the frame, or is not finite, the image comes back bit for bit."""
+    """Where all motion leads out of the frame, or is not finite, the image comes back bit for bit."""
     got = yield ask("accumulate", inputs)
     judge.same("accumulate.shown", got["shown"], judge.round_inputs(inputs, "accumulate")["image"])
 
@@ -51,11 +51,21 @@ def test_no_colour_leaves_the_box(judge: Judge, inputs: Inputs) -> Talk:
 
 @cases(st.tuples(accumulate_inputs(), st.permutations(range(3))), slow=True)
 def test_channels_do_not_mix(judge: Judge, case: tuple[Inputs, list[int]]) -> Talk:
-    """Permuting the channels of both images permutes the result, bit for bit."""
+    """Permuting the channels of all images permutes the result, bit for bit."""
     inputs, order = case
-    images = {name: inputs[name][..., order] for name in ("image", "before")}
+    images = {name: inputs[name][..., order] for name in ("image", "earlier")}
     whole, turned = yield ask("accumulate", inputs), ask("accumulate", {**inputs, **images})
     judge.same("accumulate.shown", turned["shown"], whole["shown"][..., order])
+
+
+@cases(accumulate_inputs())
+def test_an_image_off_screen_might_not_be_there(judge: Judge, inputs: Inputs) -> Talk:
+    """An older image that no motion leads into changes no bit."""
+    image, motion = inputs["image"], np.full_like(inputs["motions"][:1], np.nan)
+    alone = {"image": image, "earlier": inputs["earlier"][:1], "motions": inputs["motions"][:1]}
+    more = {"earlier": np.stack([inputs["earlier"][0], image[::-1]]), "motions": np.concatenate([alone["motions"], motion])}
+    one, two = yield ask("accumulate", alone), ask("accumulate", {**alone, **more})
+    judge.same("accumulate.shown", two["shown"], one["shown"])
 
 
 test_the_same_twice = same_twice("accumulate", cases(accumulate_inputs(), slow=True))

@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from conformance.scenes import SCENES
-from stss.frames.display_frame import window_at
-from stss.frames.output import plan
+from stss.frames.display_frame import plan, window_at
 from stss.images.read_write import write_rgb
 from stss.sequence.scenes import display_frames
 from stss.weights.file import load

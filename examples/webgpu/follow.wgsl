@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: MIT
 // Where a motion leads, and the four pixels around it: the beginning of every shader that follows one (WGSL has no #include).
 
-struct Frame { width: i32, height: i32, channels: i32, paper: i32 }
+// `choice`: of stage holes, the paper's test; of accumulate, the older image.
+struct Frame { width: i32, height: i32, channels: i32, choice: i32 }
 
 struct Taps {
     x0: i32, y0: i32, x1: i32, y1: i32,  // columns and rows, within the frame

@@ -31,7 +31,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let offset = vec3<f32>(
         between(oa.x, ob.x, oc.x, od.x, taps), between(oa.y, ob.y, oc.y, od.y, taps), between(oa.z, ob.z, oc.z, od.z, taps));
     var near = is_near(offset, 2.25 * squared_footprint(p));
-    if (frame.paper != 0) {
+    if (frame.choice != 0) {
         // The paper's test: the furthest of all four taps counts, those with weight 0 too.
         let facing = abs(view[index].x);
         let bias = 7.5 * facing + 45.0 * (1.0 - facing) + 50.0 * view[index].y;
@@ -43,7 +43,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let cosine = (here.normal.x * normal.x + here.normal.y * normal.y + here.normal.z * normal.z) / (length + 1e-5);
     let surface = any(normal != vec3<f32>(0.0)) || any(here.normal != vec3<f32>(0.0));
     let is_moving_hole = stencil != 0.0 && cosine < 0.98 && surface;
-    let is_static_hole = stencil == 0.0 && (!near || (frame.paper == 0 && cosine < 0.5 && surface));
+    let is_static_hole = stencil == 0.0 && (!near || (frame.choice == 0 && cosine < 0.5 && surface));
 
     let is_other_object = 3.0 * abs(stencil - here.stencil) > 1.0;
     valid[index] = f32(taps.inside && !is_static_hole && !is_moving_hole && !is_other_object);

@@ -19,8 +19,8 @@ from gpu import Picture, code
 from numpy.typing import NDArray
 from port import Maker
 
-from stss.frames.display_frame import DisplayFrame, frame_inputs, prepare, window_at
-from stss.frames.output import choose_rendered, plan
+from stss.frames.display_frame import DisplayFrame, frame_inputs, plan, prepare, window_at
+from stss.frames.output import choose_rendered
 from stss.images.color import transfer
 from stss.sequence.choose_weights import choose_weights
 from stss.sequence.reader import open_sequence

@@ -215,11 +215,12 @@ class Maker(Calls):
         scales = self.encoder(color, gbuffer, mask)
         return self.decoder([self.erm(scales[3], gbuffer, mask), self.history(history)], scales, color, size)
 
-    def accumulate(self, image: Picture, before: Picture, motion: Picture) -> Picture:
+    def accumulate(self, image: Picture, earlier: list[Picture], motions: list[Picture]) -> Picture:
         """``shown``."""
-        shown = self.empty(image.height, image.width, image.channels)
-        uniform = image.width, image.height, image.channels
-        self.add("accumulate.main", shown, 1, uniform, {1: image, 2: before, 3: motion, 4: shown})
+        total, shown = (self.empty(image.height, image.width, image.channels) for _ in range(2))
+        for i, (then, motion) in enumerate(zip(earlier, motions, strict=True)):
+            uniform = image.width, image.height, image.channels, i
+            self.add("accumulate.main", shown, 1, uniform, {1: image, 2: then, 3: motion, 4: total, 5: shown})
         return shown
 
     def frame(self, inputs: Arrays) -> Picture:
@@ -303,7 +304,7 @@ STAGES: dict[str, Callable[[Maker, Arrays], dict[str, Picture]]] = {
     "decoder": _decoder,
     "network": _by_name("network", "color gbuffer mask history", "image"),
     "frame": lambda make, arrays: {"image": make.frame(arrays)},
-    "accumulate": _by_name("accumulate", "image before motion", "shown"),
+    "accumulate": _by_name("accumulate", "image earlier motions", "shown"),
 }
 
 

@@ -152,7 +152,7 @@ def backend_options(command: Command) -> Command:
 
     @wraps(command)
     def collect(
-        *, device: str | None, precision: Precision, memory_limit: int | None, skip: Skip, accumulate: bool, **others: Any
+        *, device: str | None, precision: Precision, memory_limit: int | None, skip: Skip, accumulate: bool | None, **others: Any
     ) -> Any:
         limit = None if memory_limit is None else memory_limit << 20
         return command(**others, compute=ComputeOptions(device, precision, limit, skip, accumulate))
@@ -181,9 +181,9 @@ def backend_options(command: Command) -> Command:
             help="off: compute everything; exact: do not compute unchanged parts again, with the same bits.",
         ),
         click.option(
-            "--accumulate",
-            is_flag=True,
-            help="Mix each frame with the one shown before it: aliased input flickers less. Needs the frames in order.",
+            "--accumulate/--no-accumulate",
+            default=None,
+            help="Mix each frame with the two before it, so that it flickers less  [default: if the weights are made for aliased input]",
         ),
     )
     decorated: Any = group_options("The device", *options)(collect)

@@ -78,7 +78,7 @@ def run(
     reads = [Path(weights)]
     loaded = choose_weights(weights, frames, _tell)
     # The user's mistakes are said before a device is opened, which may take a minute.
-    plan(frames, out, options, reads, accumulates=compute.accumulate)
+    plan(frames, out, options, reads)
     first, last = options.frames or (frames.numbers[0], frames.numbers[-1])
     start, tally = time.monotonic(), Tally()
     try:
@@ -90,7 +90,7 @@ def run(
             if cluster is not None:
                 summary = run_on_cluster(frames, out, cluster, Engine(loaded, backend, compute), options, on_frame, reads)
             else:
-                engine = open_backend(backend, loaded.weights, compute, tell=_tell)
+                engine = open_backend(backend, loaded, compute, tell=_tell)
                 summary = run_sequence(frames, out, engine, loaded.label, options, on_frame, reads)
     except KeyboardInterrupt:
         echo(

@@ -14,7 +14,7 @@ from stss.cli.options import (
 )
 from stss.weights import inspect as inspection
 from stss.weights.checkpoint import read_checkpoint
-from stss.weights.file import load, save
+from stss.weights.file import MADE_FOR, load, save
 from stss_ground.commands import Subcommand
 from stss_ground.option_kinds import ReadName, ReadPath, WrittenFile
 from stss_ground.terminal import Terminal, echo, printable
@@ -40,8 +40,11 @@ def import_weights(checkpoint: Path, out: Path) -> None:
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def inspect(file: str, size: tuple[int, int], as_json: bool) -> None:
     """Print the layers of the weights in FILE: shapes, parameters, multiply-adds."""
-    summary = inspection.inspect(load(file).weights, *size)
+    loaded = load(file)
+    summary = inspection.inspect(loaded.weights, *size)
     if as_json:
-        click.echo(json.dumps(asdict(summary)))
+        click.echo(json.dumps({**asdict(summary), MADE_FOR: loaded.metadata.get(MADE_FOR)}))
     else:
         inspection.print_inspection(summary, Terminal())
+        if loaded.made_for_aliased:
+            echo("made for: aliased frames; stss run mixes images with earlier ones, unless --no-accumulate is given")

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Lock
 
+from stss.frames.accumulation import Accumulation, accumulates
 from stss.frames.backends import Backend, open_backend
 from stss.frames.compute_options import ComputeOptions
 from stss.frames.display_frame import WINDOW
@@ -30,6 +31,11 @@ class Engine:
     loaded: LoadedWeights
     backend: str
     compute: ComputeOptions
+
+    @property
+    def window(self) -> int:
+        """The number of display frames that an output depends on."""
+        return Accumulation.window if accumulates(self.loaded, self.compute) else WINDOW
 
 
 @dataclass(frozen=True)
@@ -55,15 +61,16 @@ class Work:
     def part(self, numbers: Iterable[int]) -> Work:
         """The work with only the frames on which those of ``numbers`` depend."""
         ordered = sorted(numbers)
-        needs = {self.sequence.numbers[0], *range(ordered[0] - WINDOW + 1, ordered[-1] + 1)}
+        needs = {self.sequence.numbers[0], *range(ordered[0] - self.engine.window + 1, ordered[-1] + 1)}
         return replace(self, sequence=self.sequence.part(needs))
 
 
 @dataclass(frozen=True)
 class Introduction:
-    """A worker's backend and the label of its weights, or the reason why it cannot work."""
+    """A worker's backend, its method and the label of its weights, or the reason why it cannot work."""
 
     backend: str
+    method: str
     weights: str
     error: str = ""
 
@@ -112,9 +119,9 @@ def introduce(work: Work) -> Introduction:
                 raise InputError(f"{path}: not there; workers read the same paths, from shared storage")
         with _lock:
             backend, label = _open(work)
-            return Introduction(backend.name, label)
+            return Introduction(backend.name, backend.method, label)
     except (InputError, DeviceError, OSError) as error:
-        return Introduction("", "", str(error))
+        return Introduction("", "", "", str(error))
 
 
 def compute_chunk(work: Work, numbers: list[int]) -> Chunk:
@@ -141,7 +148,7 @@ def _open(work: Work) -> tuple[Backend, str]:
     key = f"{engine.loaded.label} {engine.backend} {engine.compute}"
     if key not in _opened:
         _opened.clear()
-        _opened[key] = (open_backend(engine.backend, engine.loaded.weights, engine.compute), engine.loaded.label)
+        _opened[key] = (open_backend(engine.backend, engine.loaded, engine.compute), engine.loaded.label)
     return _opened[key]
 
 

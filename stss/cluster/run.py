@@ -11,7 +11,6 @@ from pathlib import Path
 
 from stss.cluster.chunk import Chunk, Engine, Introduction, Work, compute_chunk, introduce
 from stss.cluster.workers import Workers, connect
-from stss.frames.backends import NETWORK
 from stss.run.frame_job import FrameReport, already_written, describe, keys_of
 from stss.run.job import REFUSAL, RunPlan, Summary, plan
 from stss.run.options import RunOptions
@@ -53,11 +52,9 @@ def run_on_cluster(
         engine: computes there.
 
     Raises:
-        InputError: as there; the engine accumulates, nothing answers at the address, workers differ, or workers die or hang again and
+        InputError: as there; nothing answers at the address, workers differ, or workers die or hang again and
             again.
     """
-    if engine.compute.accumulate:
-        raise InputError("--cluster: with --accumulate each output depends on all before it; expected one of the two options")
     run_plan = plan(sequence, out, options, reads)
     work = Work(VERSION, sequence, run_plan.rendered, out, options, engine)
     with (
@@ -138,8 +135,9 @@ class _Run:
 
     def _is_kept(self, number: int, who: Introduction) -> bool:
         work, options, folder = self._work, self._work.options, self._run_plan.folder
-        settings = describe(work.sequence, options, NETWORK, who.backend, who.weights)
-        kind = already_written(folder, options, number, keys_of(work.sequence, work.rendered, options, settings).of(number))
+        settings = describe(work.sequence, options, who.method, who.backend, who.weights)
+        keys = keys_of(work.sequence, work.rendered, options, settings, work.engine.window)
+        kind = already_written(folder, options, number, keys.of(number))
         if kind is not None:
             self._report(FrameReport(number, kind, "kept"))
         return kind is not None

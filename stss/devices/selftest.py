@@ -126,7 +126,11 @@ def image_stages(device: Device, generator: np.random.Generator) -> None:
     occlusion_motion, filled = occlusion_warp(color, warped, motion, depth, valid)
     _exact("occlusion_motion", got["occlusion_motion"], occlusion_motion)
     _exact("occlusion_warp", got["occlusion_warp"], filled)
-    images = {"image": color, "before": warped, "motion": motion[::2, ::2]}
+    images = {
+        "image": color,
+        "earlier": np.stack([warped, color[::-1]]),
+        "motions": np.stack([motion[::2, ::2], motion[1::2, ::2]]),
+    }
     _exact("shown", stages.run_stage("accumulate", images)["shown"], accumulate(**images))
 
 

@@ -1,39 +1,72 @@
 # SPDX-License-Identifier: MIT
-"""Display frames that flicker less: each is mixed with the one shown before it."""
+"""Display frames that flicker less: each image is mixed with those of the two display frames before it."""
 
 from __future__ import annotations
 
 import weakref
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stss.frames.display_frame import DisplayFrame
+from stss.frames.compute_options import ComputeOptions
+from stss.frames.display_frame import WINDOW, DisplayFrame, plan
+from stss.weights.file import LoadedWeights
 from stss_cl.cost import Cost
+from stss_ref.accumulate import accumulate
 from stss_ref.arrays import Image, Mask
+from stss_ref.constants import EARLIER_SHARES
+from stss_ref.motion_chain import chain_steps
 
 if TYPE_CHECKING:
     from stss.frames.backends import Backend
 
-Accumulate = Callable[[Image, Image, Image], Image]
-"""Stage ``accumulate``: from image, the image shown before, and motion to the image to show."""
+EARLIER = len(EARLIER_SHARES)
+"""Earlier images that one is mixed with."""
+Accumulate = Callable[[Image, Sequence[Image], Sequence[Image]], Image]
+"""From an image, the earlier ones, newest first, and the motion of each of these display frames to the one before it, newest first."""
+
+
+def accumulates(weights: LoadedWeights, options: ComputeOptions) -> bool:
+    """Whether images are mixed: as the options say, else where the weights are made for aliased input."""
+    return weights.made_for_aliased if options.accumulate is None else options.accumulate
+
+
+def accumulate_arrays(image: Image, earlier: Sequence[Image], motions: Sequence[Image]) -> Image:
+    """The reference, as `Accumulate`."""
+    return accumulate(image, np.stack(earlier), np.stack([*chain_steps(np.stack(motions))]))
+
+
+@dataclass(frozen=True)
+class _Shown:
+    """What is kept of a display frame.
+
+    Attributes:
+        image: as the backend made it.
+        shown: the mixed one; None: only ``image`` was asked for.
+        again: ``image`` is that of two frames before, and nothing moved since.
+    """
+
+    image: Image
+    shown: Image | None = None
+    again: bool = False
 
 
 class Accumulation:
     """A backend (``stss.frames.backends.Backend``) that puts stage ``accumulate`` behind another one.
 
-    A frame continues the one before it in its window, which must have been computed last of its sequence; otherwise, as at a cut, it is
-    shown as it is.
+    Earlier images that it has not just made, as at the first frame of a range, it makes from the window: so an output depends on the
+    display frames of the window, and on nothing else.
     """
 
-    accumulates = True
+    window = WINDOW + EARLIER
 
     def __init__(self, backend: Backend, accumulate: Accumulate):
-        self.name, self.method = f"{backend.name}, accumulate", backend.method
+        self.name, self.method = backend.name, f"{backend.method}, accumulate"
         self._backend, self._accumulate = backend, accumulate
-        self._images: dict[int, Image] = {}
-        """The id of the last frame of each sequence under way -> its image; gone with the frame."""
+        self._frames: dict[int, _Shown] = {}
+        """The id of each of the last two frames of each sequence under way -> what is kept of it; gone with the frame."""
 
     @property
     def cost(self) -> Cost | None:
@@ -45,14 +78,45 @@ class Accumulation:
         self._backend.expect(size)
         height, width = size
         image = np.zeros((2 * height, 2 * width, 3), np.float32)
-        self._accumulate(image, image, np.zeros((height, width, 2), np.float32))  # a kernel is compiled when it is launched first
+        motion = np.zeros((height, width, 2), np.float32)
+        self._accumulate(image, [image] * EARLIER, [motion] * EARLIER)  # a kernel is compiled when it is launched first
 
     def compute(self, window: Sequence[DisplayFrame], steps: tuple[int, int, int]) -> tuple[Image, Mask]:
         """See ``Backend``."""
+        # The oldest first: a backend that skips what does not change meets the frames in order.
+        before = [self._made(window[:-back]) for back in range(EARLIER, 0, -1) if back < len(window)][::-1]
+        earlier = before[: before.index(None)] if None in before else before
         image, valid = self._backend.compute(window, steps)
-        before = self._images.pop(id(window[-2]), None) if len(window) > 1 else None
-        if before is not None:
-            image = self._accumulate(image, before, window[-1].motion)
-        self._images[id(window[-1])] = image
-        weakref.finalize(window[-1], self._images.pop, id(window[-1]), None)
-        return image, valid
+        shown, again = self._mix(image, [each for each in earlier if each is not None], window)
+        self._keep(window[-1], _Shown(image, shown, again))
+        if len(window) > EARLIER:
+            self._frames.pop(id(window[-1 - EARLIER]), None)
+        return shown, valid
+
+    def _mix(self, image: Image, earlier: Sequence[_Shown], window: Sequence[DisplayFrame]) -> tuple[Image, bool]:
+        if not earlier:
+            return image, False
+        again = len(earlier) == EARLIER and image.base is not None and image.base is earlier[1].image.base and self._rests()
+        if again and all(each.again for each in earlier) and (shown := earlier[1].shown) is not None:
+            return shown, True  # what it is made of is that of two frames before
+        motions = [frame.motion for frame in window[: -1 - len(earlier) : -1]]
+        return self._accumulate(image, [each.image for each in earlier], motions), again
+
+    def _rests(self) -> bool:
+        cost = self.cost
+        return cost is not None and cost.network == "none"
+
+    def _made(self, window: Sequence[DisplayFrame]) -> _Shown | None:
+        """What is kept of the last frame of ``window``, computed if need be; None where it has no output."""
+        if (kept := self._frames.get(id(window[-1]))) is not None:
+            return kept
+        if (timing := plan(window)) is None:
+            return None
+        made = _Shown(self._backend.compute(window, timing.steps)[0])
+        self._keep(window[-1], made)
+        return made
+
+    def _keep(self, frame: DisplayFrame, shown: _Shown) -> None:
+        if id(frame) not in self._frames:
+            weakref.finalize(frame, self._frames.pop, id(frame), None)
+        self._frames[id(frame)] = shown

@@ -8,15 +8,14 @@ from collections.abc import Callable, Mapping, Sequence
 from threading import Lock
 from typing import Protocol
 
-from stss.frames.accumulation import Accumulation
+from stss.frames.accumulation import Accumulation, accumulate_arrays, accumulates
 from stss.frames.compute_options import ComputeOptions
-from stss.frames.display_frame import DisplayFrame, OnArrays
+from stss.frames.display_frame import WINDOW, DisplayFrame, OnArrays
 from stss.weights.file import LoadedWeights, load
 from stss_cl.cost import Cost
 from stss_cl.liveness import has_residual
 from stss_ground.arguments import require_choice, require_kind
 from stss_ground.errors import InputError
-from stss_ref.accumulate import accumulate
 from stss_ref.arrays import Image, Mask
 from stss_ref.constants import Gather
 from stss_ref.frame import FrameInputs, frame, prepare
@@ -36,12 +35,15 @@ class Backend(Protocol):
     Attributes:
         name: goes into the metadata of every output file, and into the key that ``--resume`` compares.
         method: likewise: ``network``, or another method for comparison.
-        accumulates: True: an output depends on all outputs before it, and ``compute`` must be called for each in turn.
+        window: the number of display frames that an output depends on, its own included; None: all before it, and ``compute`` must be
+            called for each in turn.
     """
 
     name: str
     method: str
-    accumulates: bool
+
+    @property
+    def window(self) -> int | None: ...  # noqa: D102
 
     @property
     def cost(self) -> Cost | None:
@@ -56,7 +58,8 @@ class Backend(Protocol):
         """``(image (2H, 2W, 3), valid (H, W))`` as ``stss_ref.frame.frame``, for the last frame of ``window``.
 
         Args:
-            window: consecutive display frames, oldest first; the caller must not change a frame that it has passed before.
+            window: consecutive display frames, oldest first, up to ``Backend.window`` of them; the caller must not change a frame that
+                it has passed before.
             steps: how many frames back the three colour frames lie, newest first.
         """
         ...
@@ -65,7 +68,7 @@ class Backend(Protocol):
 class ReferenceBackend(OnArrays):
     """``stss_ref``, in the dtype of the inputs."""
 
-    name, method, accumulates = "ref", NETWORK, False
+    name, method = "ref", NETWORK
 
     def __init__(self, weights: Weights, gather: Gather = "longest"):
         self._weights = weights
@@ -83,7 +86,7 @@ class ReferenceBackend(OnArrays):
 class OpenCLBackend:
     """``stss_cl`` on one device; its name holds precision, device and driver, since bits may differ between them."""
 
-    method, accumulates = NETWORK, False
+    method, window = NETWORK, WINDOW
 
     def __init__(self, weights: Weights, options: ComputeOptions, tell: Callable[[str], None]):
         self._alone = Lock()
@@ -141,12 +144,13 @@ def open_backend(
         raise InputError(f"tell: expected a function of a line, got {type(tell).__name__}")
     require_choice("backend", name, BACKENDS)
     weights = load(weights) if isinstance(weights, (str, os.PathLike)) else weights
+    mixes = accumulates(weights, options) if isinstance(weights, LoadedWeights) else bool(options.accumulate)
     weights = weights.weights if isinstance(weights, LoadedWeights) else weights
     require_kind("weights", weights, (Weights, Mapping), "a name, a file, or weights that are loaded")
     weights = check(weights)
     if name == "cl":
         backend = OpenCLBackend(weights, options, tell)
-        if not options.accumulate:
+        if not mixes:
             return backend
         from stss_cl.image_space.accumulate import Accumulate
 
@@ -154,4 +158,4 @@ def open_backend(
     if options.device is not None or options.precision != "float32":
         raise InputError("backend ref: expected neither a device nor another precision than float32")
     reference = ReferenceBackend(weights)
-    return Accumulation(reference, accumulate) if options.accumulate else reference
+    return Accumulation(reference, accumulate_arrays) if mixes else reference

@@ -21,7 +21,8 @@ class ComputeOptions:
         precision: one of ``stss_cl.options.PRECISIONS``; the reference takes ``float32`` only.
         memory_limit: bytes for the buffers of the OpenCL backend; larger frames go in strips, with the same bits.
         skip: one of ``stss_cl.options.SKIPS``, for the OpenCL backend; the reference computes everything.
-        accumulate: mix each image with the one shown before it (stage ``accumulate``): each output then depends on all before it.
+        accumulate: mix each image with those of the two display frames before it (stage ``accumulate``); None: where the weights are made
+            for aliased input.
 
     Raises:
         InputError: ``precision`` or ``skip`` is none of these, or the limit is no number of bytes.
@@ -31,7 +32,7 @@ class ComputeOptions:
     precision: Precision = "float32"
     memory_limit: int | None = None
     skip: Skip = "exact"
-    accumulate: bool = False
+    accumulate: bool | None = None
 
     def __post_init__(self) -> None:
         """Refuse a precision or a way to skip that no backend has."""
@@ -47,4 +48,4 @@ class ComputeOptions:
     @property
     def name(self) -> str:
         """Precision and skipping as tables show them."""
-        return f"{self.precision} {self.skip}{' accumulate' if self.accumulate else ''}"
+        return f"{self.precision} {self.skip}"

@@ -15,14 +15,15 @@ from stss.images.color import Transfer
 from stss_ref.arrays import Array, Image, Mask, Plane
 from stss_ref.depth import DepthMode, normalise_depth
 from stss_ref.frame import FrameInputs
+from stss_ref.schedule import Schedule, schedule
 
 WINDOW = 6
-"""An output depends on its own display frame and on the five before it, and on nothing else."""
+"""Stage ``frame`` reads its own display frame and the five before it, and nothing else."""
 
 
 @dataclass(frozen=True)
 class DisplayFrame:
-    """A display frame as stage ``frame`` takes it, made once and used by up to six outputs.
+    """A display frame as stage ``frame`` takes it, made once and used by several outputs.
 
     ``color`` (H, W, 3) display-referred or None, ``motion`` (H, W, 2), ``gbuffer`` (H, W, 9), ``nov`` and ``stencil`` (H, W),
     ``position`` (H, W, 3) in cm; float32, or float16 but for motion and position. ``carried``: planes (H, W, C) of a rendered frame that
@@ -79,6 +80,14 @@ def window_at(frames: Sequence[DisplayFrame], position: int) -> Sequence[Display
     return frames[max(0, position - WINDOW + 1) : position + 1]
 
 
+def plan(window: Sequence[DisplayFrame]) -> Schedule | None:
+    """The schedule of the newest frame of ``window``; None for an EF with no rendered frame just before it."""
+    window = window[-WINDOW:]
+    newest = window[-1].number
+    rendered = {frame.number for frame in window if frame.color is not None}
+    return schedule(newest, rendered, reach=newest - window[0].number)
+
+
 def frame_inputs(window: Sequence[DisplayFrame], steps: tuple[int, int, int]) -> FrameInputs:
     """Stack the inputs of stage ``frame`` for the newest frame of ``window``.
 
@@ -116,6 +125,7 @@ class OnArrays(ABC):
     """A backend (``stss.frames.backends.Backend``) that computes every frame from stacked arrays, without earlier results."""
 
     cost: None = None
+    window: int | None = WINDOW
 
     def expect(self, size: tuple[int, int]) -> None:
         """See ``Backend``: nothing needs to be prepared."""

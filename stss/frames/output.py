@@ -10,11 +10,11 @@ import numpy as np
 
 from stss.frames.backends import Backend
 from stss.frames.carried_planes import HIGHLIGHTS, add_highlights, carry
-from stss.frames.display_frame import DisplayFrame
+from stss.frames.display_frame import DisplayFrame, plan
 from stss.images.color import Transfer
 from stss_ground.errors import InputError
 from stss_ref.arrays import Image, Mask
-from stss_ref.schedule import FrameKind, Schedule, schedule
+from stss_ref.schedule import FrameKind
 
 
 @dataclass(frozen=True)
@@ -36,18 +36,11 @@ class Output:
     carried: Mapping[str, Image] = field(default_factory=dict[str, Image])
 
 
-def plan(window: Sequence[DisplayFrame]) -> Schedule | None:
-    """The schedule of the newest frame of ``window``; None for an EF with no rendered frame just before it."""
-    newest = window[-1].number
-    rendered = {frame.number for frame in window if frame.color is not None}
-    return schedule(newest, rendered, reach=newest - window[0].number)
-
-
 def compute(window: Sequence[DisplayFrame], backend: Backend) -> Output | None:
     """Compute the newest frame of ``window``, display-referred; None for an EF with no rendered frame just before it.
 
     Args:
-        window: up to six consecutive display frames of one size, oldest first.
+        window: consecutive display frames of one size, oldest first, as many as the backend takes.
         backend: the backend to compute it with.
     """
     timing = plan(window)

@@ -40,7 +40,7 @@ class Supersampler:
         precision: Precision = "float32",
         memory_limit: int | None = None,
         skip: Skip = "exact",
-        accumulate: bool = False,
+        accumulate: bool | None = None,
         transfer: str = "srgb",
         depth: DepthMode = "scale",
         copy: bool = True,
@@ -57,7 +57,8 @@ class Supersampler:
             precision: of ``stss_cl.options.PRECISIONS``.
             memory_limit: bytes for the network's buffers; larger frames are computed in strips, with the same bits.
             skip: ``exact``: unchanged parts are not computed again, with the same bits; ``off``.
-            accumulate: mix each image with the one before it (`stss_ref.accumulate`): less flicker.
+            accumulate: mix each image with the two before it (`stss_ref.accumulate`): less flicker; None: if the weights are made for
+                aliased input, as ``realtime`` is.
             transfer: ``srgb``: scene-linear; the part above 1 is carried past the network. ``none``: display-referred.
             depth: ``scale`` or ``clip`` (spec 0).
             copy: False: motion, NoV, stencil and position are not copied; the caller must not write to them for six frames.

@@ -126,9 +126,10 @@ class FrameJob:
         """Make the job and the parts that follow from its arguments; ``weights`` is the label of the weights."""
         curve = transfer(options.transfer)
         metadata = describe(sequence, options, backend.method, backend.name, weights)
-        keys = keys_of(sequence, rendered, options, metadata)
+        window = backend.window or WINDOW
+        keys = keys_of(sequence, rendered, options, metadata, window)
         return cls(
-            Window(sequence, rendered, curve, options),
+            Window(sequence, rendered, curve, options, window),
             keys,
             backend,
             curve,
@@ -226,10 +227,10 @@ def describe(sequence: Sequence, options: RunOptions, method: str, backend: str,
     }
 
 
-def keys_of(sequence: Sequence, rendered: frozenset[int], options: RunOptions, metadata: dict[str, str]) -> Keys:
-    """The keys of a run whose files have this metadata."""
+def keys_of(sequence: Sequence, rendered: frozenset[int], options: RunOptions, metadata: dict[str, str], window: int) -> Keys:
+    """The keys of a run whose files have this metadata, and whose outputs depend on so many display frames."""
     settings: dict[str, object] = {**metadata, "format": options.format, "also": options.also, "read": sequence.settings}
-    return Keys(sequence, rendered, options.cuts, settings)
+    return Keys(sequence, rendered, options.cuts, settings, window)
 
 
 def already_written(folder: OutputFolder, options: RunOptions, number: int, key: str) -> FrameKind | None:

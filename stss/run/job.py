@@ -82,13 +82,13 @@ def run(
             written to, ``out`` is the sequence's folder, another process writes there, it holds frames of others, or those of an
             earlier run and neither ``resume`` nor ``overwrite`` is set.
     """
-    run_plan = plan(sequence, out, options, reads, accumulates=backend.accumulates)
+    run_plan = plan(sequence, out, options, reads, whole=backend.window is None)
     folder = run_plan.folder
     job = FrameJob.of(sequence, run_plan.rendered, options, backend, weights, folder, partial(already_written, folder, options))
     summary = Summary([])
 
     with folder.open(refusal=None if options.resume or options.overwrite else REFUSAL):
-        if backend.accumulates:
+        if backend.window is None:
             for number in range(sequence.numbers[0], run_plan.numbers[0]):
                 job.compute(job.read(number))
         with closing(job.run(deque(run_plan.numbers), sequence.size)) as reports:
@@ -99,12 +99,12 @@ def run(
     return summary
 
 
-def plan(sequence: Sequence, out: Path, options: RunOptions, reads: Iterable[Path] = (), *, accumulates: bool = False) -> RunPlan:
+def plan(sequence: Sequence, out: Path, options: RunOptions, reads: Iterable[Path] = (), *, whole: bool = False) -> RunPlan:
     """Plan a run; no pixel is read, and nothing is written.
 
     Args:
         sequence, out, options, reads: as for `run`.
-        accumulates: whether an output depends on all earlier ones, so that all of them must be computed.
+        whole: whether an output depends on all earlier ones, so that all of them must be computed.
 
     Raises:
         InputError: the options do not fit each other or the sequence, or the run would write to a file that it reads, or among the frames
@@ -112,12 +112,10 @@ def plan(sequence: Sequence, out: Path, options: RunOptions, reads: Iterable[Pat
     """
     if options.resume and options.overwrite:
         raise InputError("--resume, --overwrite: expected one of them: keep what an earlier run finished, or replace it")
-    if accumulates and options.resume:
-        raise InputError("--resume: each output depends on all before it, so none can be kept; expected --overwrite")
     _require_cuts(sequence, options.cuts)
     rendered = choose_rendered(sequence.numbers, sequence.rendered, options.rendered, options.cuts)
     numbers = _numbers(sequence, options.frames)
-    require_near(sequence, sequence.numbers[0] if accumulates else numbers[0], numbers[-1])
+    require_near(sequence, sequence.numbers[0] if whole else numbers[0], numbers[-1])
     if not options.keep_going:  # now, not after hours of other frames
         sequence.require(numbers)
         sequence.carries(options.also)

@@ -21,17 +21,18 @@ from stss_ground.errors import InputError
 class Window:
     """The display frames that an output depends on, each read once and kept while needed."""
 
-    def __init__(self, sequence: Sequence, rendered: frozenset[int], curve: Transfer, options: RunOptions):
+    def __init__(self, sequence: Sequence, rendered: frozenset[int], curve: Transfer, options: RunOptions, size: int = WINDOW):
         self._sequence, self._rendered, self._curve, self._options = sequence, rendered, curve, options
+        self._size = size
         self._frames: dict[int, DisplayFrame | InputError] = {}
 
     def up_to(self, number: int, *, keep_going: bool) -> list[DisplayFrame]:
-        """The unbroken run of readable frames that ends in ``number``, oldest first, at most six.
+        """The unbroken run of readable frames that ends in ``number``, oldest first, as many as the backend reads.
 
         Raises:
             InputError: ``number`` cannot be read, or, unless ``keep_going``, one of the frames before it.
         """
-        numbers = window_numbers(number, self._sequence.numbers[0], self._options.cuts)
+        numbers = window_numbers(number, self._sequence.numbers[0], self._options.cuts, self._size)
         self._frames = {n: frame for n, frame in self._frames.items() if n in numbers}
         window: list[DisplayFrame] = []
         for n in numbers:
@@ -59,23 +60,25 @@ class Window:
         return self._frames[number]
 
 
-def window_numbers(number: int, first: int, cuts: Numbers[int]) -> range:
-    """The display frames that the output of ``number`` may depend on: up to six, of its own shot."""
-    return range(max(number - WINDOW + 1, shot_start(number, first, cuts)), number + 1)
+def window_numbers(number: int, first: int, cuts: Numbers[int], size: int) -> range:
+    """The display frames that the output of ``number`` may depend on: up to ``size``, of its own shot."""
+    return range(max(number - size + 1, shot_start(number, first, cuts)), number + 1)
 
 
 class Keys:
     """A digest of all that an output file depends on, files and settings: equal keys mean equal files."""
 
-    def __init__(self, sequence: Sequence, rendered: frozenset[int], cuts: Numbers[int], settings: dict[str, object]):
+    def __init__(
+        self, sequence: Sequence, rendered: frozenset[int], cuts: Numbers[int], settings: dict[str, object], size: int = WINDOW
+    ):
         self._sequence, self._rendered, self._cuts = sequence, rendered, cuts
-        self._settings = json.dumps(settings, sort_keys=True)
+        self._size, self._settings = size, json.dumps(settings, sort_keys=True)
         self._digests: dict[Path, str] = {}
 
     def of(self, number: int) -> str:
         """The key of display frame ``number``: a digest of the settings and of content and role of every file that its window may read."""
         key = hashlib.sha256(f"{self._settings} {number}".encode())
-        for n in window_numbers(number, self._sequence.numbers[0], self._cuts):
+        for n in window_numbers(number, self._sequence.numbers[0], self._cuts, self._size):
             if n in self._sequence.frames:
                 digests = [self._digest(path) for path in self._sequence.files(n)]
                 key.update(f"{n} {n in self._rendered} {digests}".encode())

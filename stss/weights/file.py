@@ -30,6 +30,9 @@ REALTIME, ANTIALIASED = "realtime", "antialiased"
 """Names of the weights that come with the program (docs/model-card.md): for frames with one sample a pixel, and for antialiased ones."""
 SHIPPED = {name: Path(__file__).with_name(f"{name}.safetensors") for name in (REALTIME, ANTIALIASED)}
 """Name -> file."""
+MADE_FOR, ALIASED = "made_for", "aliased"
+"""A metadata entry of weights for frames with one sample a pixel. It changes no number of stage ``frame``, so the format's version does not
+know it."""
 MAX_BYTES = 64 * 2**20
 
 
@@ -48,6 +51,11 @@ class LoadedWeights:
     source: str
     identity: str
     metadata: Mapping[str, str]
+
+    @property
+    def made_for_aliased(self) -> bool:
+        """Whether the file says that the weights are for frames with one sample a pixel, whose images flicker."""
+        return self.metadata.get(MADE_FOR) == ALIASED
 
     @property
     def label(self) -> str:

@@ -20,7 +20,7 @@ from stss_cl.device.grid import grid
 from stss_cl.device.launch import Kernel
 from stss_cl.device.program import Program, program_for
 from stss_ref.arrays import ArrayError, require_dtype, require_finite, require_shape
-from stss_ref.constants import EARLIER_SHARE, Gather, HoleLimits, HoleTest
+from stss_ref.constants import EARLIER_SHARES, Gather, HoleLimits, HoleTest
 
 Inputs = Mapping[str, NDArray[Any]]
 Outputs = dict[str, NDArray[Any]]
@@ -38,7 +38,14 @@ def program(device: Device, file: str, options: Mapping[str, object] | None = No
 
 def accumulate_program(device: Device) -> Program:
     """The program of stage ``accumulate``."""
-    return program(device, "accumulate.cl", {"SHARE": f"{EARLIER_SHARE}f"})
+    return program(
+        device, "accumulate.cl", {name: f"{share}f" for name, share in zip(("NEWER", "OLDER"), EARLIER_SHARES, strict=True)}
+    )
+
+
+def chain_program(device: Device, gather: Gather = "longest") -> Program:
+    """The program of stage ``motion_chain``."""
+    return program(device, "motion_chain.cl", {"GATHER": f"gather_{gather}"})
 
 
 class ImageStages:
@@ -123,8 +130,9 @@ def _motion_chain(stages: ImageStages, inputs: Inputs) -> Outputs:
     k, height, width, _ = motions.shape
     size = height, width
     motion = stages.buffer(size, 2)
-    chain = program(stages.device, "motion_chain.cl", {"GATHER": f"gather_{stages.gather}"})
-    stages.launch(chain, "motion_chain", size, motions=stages.upload(motions), motion=motion, k=k)
+    stages.launch(
+        chain_program(stages.device, stages.gather), "motion_chain", size, motions=stages.upload(motions), motion=motion, k=k
+    )
     return {"motion": stages.download(motion, (*size, 2))}
 
 
@@ -189,11 +197,23 @@ def _rrm(stages: ImageStages, inputs: Inputs) -> Outputs:
 
 
 def _accumulate(stages: ImageStages, inputs: Inputs) -> Outputs:
-    size = _size(inputs, "motion", 2)
+    motions, earlier = inputs["motions"], inputs["earlier"]
+    require_shape("motions", motions, (None, None, None, 2))
+    count, size = len(motions), (int(motions.shape[1]), int(motions.shape[2]))
     display = 2 * size[0], 2 * size[1]
-    images = _planes(stages, inputs, display, {"image": 3, "before": 3}, ("image", "before"))
-    motion, shown = _planes(stages, inputs, size, {"motion": 2}), stages.buffer(display, 3)
-    stages.launch(accumulate_program(stages.device), "accumulate", size, **images, **motion, shown=shown)
+    require_shape("earlier", earlier, (count, *display, 3))
+    if count > len(EARLIER_SHARES):
+        raise ArrayError(f"earlier: expected at most {len(EARLIER_SHARES)} images, got {count}")
+    arrays = {
+        "image": inputs["image"],
+        "newer": earlier[0],
+        "older": earlier[-1],
+        "to_newer": motions[0],
+        "to_older": motions[-1],
+    }
+    images = _planes(stages, arrays, display, {"image": 3, "newer": 3, "older": 3}, ("image", "newer", "older"))
+    places, shown = _planes(stages, arrays, size, {"to_newer": 2, "to_older": 2}), stages.buffer(display, 3)
+    stages.launch(accumulate_program(stages.device), "accumulate", size, **images, **places, shown=shown, count=count)
     return {"shown": stages.download(shown, (*display, 3))}
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from stss.frames.backends import DEFAULTS, NETWORK, Backend, open_backend
 from stss.frames.compute_options import ComputeOptions
-from stss.frames.display_frame import OnArrays
+from stss.frames.display_frame import WINDOW, OnArrays
 from stss.images.resample import lanczos_centres
 from stss.weights.file import LoadedWeights
 from stss_ground.errors import InputError
@@ -63,7 +63,7 @@ METHODS: Mapping[str, Callable[[], Method]] = {
 """Name -> function that makes the method, to be called anew for each sequence."""
 
 ACCUMULATING = frozenset({"taau"})
-"""Methods whose outputs depend on earlier outputs, and not only on the six frames of the window."""
+"""Methods whose outputs depend on all earlier outputs."""
 
 
 LIMITS = HoleLimits(static_cosine=-np.inf)
@@ -79,7 +79,7 @@ class MethodBackend(OnArrays):
         """Take the method of this name; raises InputError if there is none."""
         if method not in METHODS:
             raise InputError(f"method: expected one of {', '.join(METHODS)}, got {method!r}")
-        self.method, self.accumulates = method, method in ACCUMULATING
+        self.method, self.window = method, None if method in ACCUMULATING else WINDOW
         self._make = METHODS[method]()
 
     def frame(self, inputs: FrameInputs) -> tuple[Image, Mask]:
@@ -115,4 +115,4 @@ def open_method(
     """
     if method != NETWORK:
         return MethodBackend(method), NO_WEIGHTS
-    return open_backend(backend, loaded.weights, options, tell=tell), loaded.label
+    return open_backend(backend, loaded, options, tell=tell), loaded.label

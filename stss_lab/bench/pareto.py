@@ -20,8 +20,7 @@ from rich.table import Table
 
 from conformance.scenes import SCENES
 from stss.frames.compute_options import ComputeOptions
-from stss.frames.display_frame import DisplayFrame, frame_inputs, window_at
-from stss.frames.output import plan
+from stss.frames.display_frame import DisplayFrame, frame_inputs, plan, window_at
 from stss.quality.metrics import psnr
 from stss.sequence.scenes import check_request, display_frames, truth
 from stss_cl.device.discovery import Device, open_device

@@ -63,7 +63,7 @@ COLUMNS = {"SF": ("SF", "all"), "EF": ("EF", "all"), "EF, holes": ("EF", "holes"
 class WithoutPart(OnArrays):
     """`stss_ref` without one of ``PARTS``, or with all (None), as a backend (`stss.frames.backends.Backend`)."""
 
-    name, accumulates = "ref", False
+    name = "ref"
 
     def __init__(self, weights: Weights, part: str | None):
         self.method = NETWORK if part is None else f"{NETWORK} without {part}"

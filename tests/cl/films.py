@@ -6,8 +6,7 @@ import numpy as np
 import pyopencl as cl
 import pyopencl.array as cla
 
-from stss.frames.display_frame import DisplayFrame, window_at
-from stss.frames.output import plan
+from stss.frames.display_frame import DisplayFrame, plan, window_at
 from stss_cl.skip.planes import HALF
 from stss_ref.frame import FrameInputs
 from stss_ref.weights import Weights

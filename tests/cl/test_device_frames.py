@@ -7,7 +7,7 @@ import pyopencl as cl
 import pyopencl.array as cla
 import pytest
 
-from stss.frames.output import plan
+from stss.frames.display_frame import plan
 from stss_cl.skip.stream import Stream
 from stss_ref.arrays import ArrayError
 from tests.cl.films import SIZE, WEIGHTS, assert_same, calls_of, film, on

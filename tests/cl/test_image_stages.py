@@ -14,7 +14,7 @@ from stss_cl.image_space.prepare import FINITE, Prepare, PrepareOptions
 from stss_cl.image_space.stages import ImageStages
 from stss_ref.accumulate import accumulate
 from stss_ref.frame import FrameInputs, prepare
-from stss_ref.motion_chain import motion_chain
+from stss_ref.motion_chain import chain_steps, motion_chain
 from stss_ref.occlusion_warp import occlusion_warp, splat
 from stss_ref.resample import downsample_8, pad_to_8
 from stss_ref.reshade import reshade
@@ -313,12 +313,14 @@ def test_accumulation_of_frames_in_turns(device):
     accumulate_frames, random, answers = Accumulate(device), np.random.default_rng(3), []
     for size in ((5, 7), (24, 40), (5, 7)):
         display = tuple(2 * length for length in size)
-        image, before = (random.random((*display, 3), np.float32) for _ in range(2))
-        motion = random.uniform(-3, 3, (*size, 2)).astype(np.float32)
-        motion[0, 0] = np.nan
+        image, *earlier = (random.random((*display, 3), np.float32) for _ in range(3))
+        motions = random.uniform(-3, 3, (2, *size, 2)).astype(np.float32)
+        motions[:, 0, 0] = np.nan
         odd = np.empty(image.size + 1, np.float32)[1:].reshape(image.shape)
         odd[:] = image
-        want = accumulate(image, before, motion)
-        answers += [(accumulate_frames(each, before, motion), want) for each in (image, odd)]
+        chained = np.stack([*chain_steps(motions)])
+        for count in (1, 2):
+            want = accumulate(image, np.stack(earlier[:count]), chained[:count])
+            answers += [(accumulate_frames(each, earlier[:count], motions[:count]), want) for each in (image, odd)]
     for got, want in answers:
         np.testing.assert_array_equal(got, want)

@@ -143,12 +143,13 @@ def stages(device):
             "rectangle": np.array([0, 0, 1, 1]),
             "paper": np.zeros(1),
         }
-        inputs |= {name: random.normal(0, 2, (2 * size[0], 2 * size[1], 3)).astype(np.float32) for name in ("image", "before")}
+        image, *earlier = random.normal(0, 2, (3, 2 * size[0], 2 * size[1], 3)).astype(np.float32)
+        mixed = inputs | {"image": image, "earlier": np.stack(earlier), "motions": inputs["motions"][:2]}
         for gather in ("longest", "nearest", "bilinear"):
             for stage in ("motion_chain", "warp", "holes", "occlusion_warp", "reshade", "rrm", "accumulate")[
                 : None if gather == "longest" else 1
             ]:
-                yield from ImageStages(device, gather).run_stage(stage, inputs).values()
+                yield from ImageStages(device, gather).run_stage(stage, mixed if stage == "accumulate" else inputs).values()
 
 
 SIZES = (1, 1), (3, 5), (8, 8), (9, 13)

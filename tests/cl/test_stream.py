@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stss.frames.output import plan
+from stss.frames.display_frame import plan
 from stss_cl.device.program import programs_of
 from stss_cl.network.layers import COLUMNS
 from stss_cl.network.strips import OVERLAP

@@ -13,8 +13,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from stss.frames.display_frame import WINDOW
-from stss.frames.output import plan
+from stss.frames.display_frame import WINDOW, plan
 from stss_cl.network.network import Network
 from stss_cl.skip.stream import Stream
 from stss_ref.arrays import ArrayError

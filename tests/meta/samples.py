@@ -138,10 +138,10 @@ def _rrm(generator: np.random.Generator) -> Any:
 
 def _accumulate(generator: np.random.Generator) -> Any:
     for (height, width), kind in CASES:
-        image, before = generator.uniform(-0.3, 1.3, (2, 2 * height, 2 * width, 3))
-        moved = motion(generator, (height, width), kind) / 2
-        yield {"image": image, "before": before, "motion": moved}, None
-        yield {"image": image, "before": image + before / 2, "motion": moved}, None
+        image, *earlier = generator.uniform(-0.3, 1.3, (3, 2 * height, 2 * width, 3))
+        moved = np.stack([motion(generator, (height, width), kind) / 2 for _ in earlier])
+        yield {"image": image, "earlier": np.stack(earlier), "motions": moved}, None
+        yield {"image": image, "earlier": image + np.stack(earlier[:1]) / 2, "motions": moved[:1]}, None
 
 
 @cache

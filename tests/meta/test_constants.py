@@ -76,7 +76,8 @@ PLANTS = {
         *(put("erm.LEAST_SUM", x) for x in (1e-7, 1e-5, 1e-38)),
     ],
     "window": [put("erm.WINDOW", x) for x in (3, 7)],
-    "share of the image shown before": [put("accumulate.EARLIER_SHARE", x) for x in (0.37, 0.38, 0.5)],
+    "share of the newer image": [put("accumulate.EARLIER_SHARES", (x, 0.125)) for x in (0.24, 0.26, 0.375)],
+    "share of the older image": [put("accumulate.EARLIER_SHARES", (0.25, x)) for x in (0.12, 0.13, 0.25)],
     "least colour": [find(f"frame_{name}").plants[0] for name in ("negative_color", "negative_history", "absolute_history")],
 }
 

@@ -52,17 +52,20 @@ def test_warp():
 
 def test_accumulate():
     image = np.arange(12.0).reshape(2, 6, 1) * np.ones(3)
-    motion = np.array([[(0, 0), (-0.75, 0.25), (0, 0)]])
-    lines = terms("accumulate", {"image": image, "before": image * 2, "motion": motion}, "shown", (0, 2))
-    assert lines["motion, twice that of the low-resolution pixel"] == "(-1.5, 0.5)"
-    assert lines["leads to"] == "column 0 + 0.5, row 0 + 0.5"
-    assert lines["inside, else the image"] == "1"
-    assert lines["read between them"] == "(7, 7, 7)"
+    motions = np.array([[[(0, 0), (-0.75, 0.25), (0, 0)]], [[(0, 0), (9, 0), (0, 0)]]])
+    inputs = {"image": image, "earlier": np.stack([image * 2, image]), "motions": motions}
+    lines = terms("accumulate", inputs, "shown", (0, 2))
+    assert lines["image"] == "(2, 2, 2)"
     assert lines["box, least"] == "(1, 1, 1)"
     assert lines["box, largest"] == "(9, 9, 9)"
-    assert lines["clamped into the box"] == "(7, 7, 7)"
-    assert lines["image, which gets 0.375 of that"] == "(2, 2, 2)"
-    assert lines["the test expects"] == "(3.875, 3.875, 3.875)"
+    assert lines["1 back: motion, twice that of the low-resolution pixel"] == "(-1.5, 0.5)"
+    assert lines["1 back: leads to"] == "column 0 + 0.5, row 0 + 0.5"
+    assert lines["1 back: inside, else the image"] == "1"
+    assert lines["1 back: read between them"] == "(7, 7, 7)"
+    assert lines["1 back: clamped into the box, 0.25 of it"] == "(7, 7, 7)"
+    assert lines["2 back: inside, else the image"] == "0"
+    assert lines["2 back: clamped into the box, 0.125 of it"] == "(5, 5, 5)"
+    assert lines["the test expects"] == "(3.25, 3.25, 3.25)"
 
 
 def test_motion_chain():

@@ -44,7 +44,7 @@ FUNCTIONS = {
     occlusion_warp: {"color": (H, W, 3), "warped": (H, W, 3), "motion": (H, W, 2), "depth": (H, W), "valid": (H, W)},
     reshade: {"color": (H, W, 3), "warped": (H, W, 3), "motion": (H, W, 2), "valid": (H, W), **SURFACE, "base_color": (H, W, 3)},
     lambda valid: rrm(valid, (1, 1, 2, 2)): {"valid": (H, W)},
-    accumulate: {"image": (2 * H, 2 * W, 3), "before": (2 * H, 2 * W, 3), "motion": (H, W, 2)},
+    accumulate: {"image": (2 * H, 2 * W, 3), "earlier": (2, 2 * H, 2 * W, 3), "motions": (2, H, W, 2)},
     lambda depth: normalise_depth(depth, "scale"): {"depth": (H, W)},
     lambda **a: history_embedding(weights=WEIGHTS, **a): {"history": (3, H, W, 4)},
     lambda **a: encoder(weights=WEIGHTS, **a): {"color": (H, W, 6), "gbuffer": (H, W, 9), "mask": (H, W)},

@@ -523,37 +523,51 @@ class TestRRM:
 
 
 class TestAccumulate:
-    def shown(self, image, before, motion=0.0):
-        """One channel of a row of two pixels, four on the display, whose two rows are equal."""
-        rows = (np.broadcast_to(np.array(row, float)[None, :, None], (2, 4, 1)) for row in (image, before))
-        shown = accumulate(*rows, np.broadcast_to(np.array([motion, 0.0]), (1, 2, 2)).astype(float))
+    def shown(self, image, *pairs):
+        """One channel of a row of two pixels, four on the display, whose two rows are equal; ``pairs``: an earlier image, its motion."""
+        rows = [np.broadcast_to(np.array(row, float)[None, :, None], (2, 4, 1)) for row in (image, *(row for row, _ in pairs))]
+        motions = np.stack([np.broadcast_to(np.array([motion, 0.0]), (1, 2, 2)) for _, motion in pairs])
+        shown = accumulate(rows[0], np.stack(rows[1:]), motions)
         assert (shown[0] == shown[1]).all()
         return shown[0, :, 0].tolist()
 
-    def test_three_eighths_of_the_earlier_image(self):
-        assert self.shown([0, 8, 0, 8], [4, 4, 4, 4]) == [1.5, 6.5, 1.5, 6.5]
+    def test_a_quarter_of_the_newer_image(self):
+        assert self.shown([0, 8, 0, 8], ([4, 4, 4, 4], 0)) == [1, 7, 1, 7]
 
-    def test_it_is_within_what_surrounds_the_pixel(self):
-        assert self.shown([0, 8, 9, 9], [100, 100, -100, -100]) == [3.0, 8.375, 8.625, 9.0]
+    def test_and_an_eighth_of_the_older(self):
+        assert self.shown([0, 8, 0, 8], ([4, 4, 4, 4], 0), ([8, 8, 0, 4], 0)) == [2, 7, 1, 6.5]
+
+    def test_each_is_within_what_surrounds_the_pixel(self):
+        """Not their mean."""
+        assert self.shown([0, 8, 9, 9], ([100, 100, -100, -100], 0)) == [2, 8.25, 8.75, 9]
+        assert self.shown([0, 8, 8, 8], ([100, 0, 8, 8], 0), ([-100, 0, 8, 8], 0))[0] == 2
 
     def test_a_display_pixel_has_twice_the_motion(self):
         """Half a pixel is one on the display; the last pixel's leads out of the frame."""
-        assert self.shown([0, 8, 0, 8], [1, 2, 3, 4], 0.5) == [0.75, 6.125, 1.5, 8.0]
-        assert self.shown([0, 8, 0, 8], [1, 2, 3, 4], 0.25)[0] == 0.5625
+        assert self.shown([0, 8, 0, 8], ([1, 2, 3, 4], 0.5)) == [0.5, 6.75, 1, 8]
+        assert self.shown([0, 8, 0, 8], ([1, 2, 3, 4], 0.25))[0] == 0.375
+
+    def test_each_image_has_its_motion(self):
+        assert self.shown([0, 8, 0, 8], ([1, 2, 3, 4], 0.5), ([1, 2, 3, 4], 1))[:2] == [0.875, 6.25]
 
     @pytest.mark.parametrize("motion", [np.nan, np.inf, -9.0, 1e30])
     def test_off_screen_is_the_image(self, motion):
-        assert self.shown([0, 8, 0, 8], [4, 4, 4, 4], motion) == [0, 8, 0, 8]
+        assert self.shown([0, 8, 0, 8], ([4, 4, 4, 4], motion)) == [0, 8, 0, 8]
+        assert self.shown([0, 8, 0, 8], ([4, 4, 4, 4], motion), ([4, 4, 4, 4], 0)) == [0.5, 7.5, 0.5, 7.5]
 
     def test_rows_are_read_as_columns_are(self):
         rng = np.random.default_rng(0)
-        image, before, motion = rng.random((6, 10, 2)), rng.random((6, 10, 2)), rng.uniform(-1, 1, (3, 5, 2))
-        turned = accumulate(image.swapaxes(0, 1), before.swapaxes(0, 1), motion.swapaxes(0, 1)[..., ::-1])
-        np.testing.assert_allclose(turned.swapaxes(0, 1), accumulate(image, before, motion), rtol=0, atol=2**-50)
+        image, earlier, motions = rng.random((6, 10, 2)), rng.random((2, 6, 10, 2)), rng.uniform(-1, 1, (2, 3, 5, 2))
+        turned = accumulate(image.swapaxes(0, 1), earlier.swapaxes(1, 2), motions.swapaxes(1, 2)[..., ::-1])
+        np.testing.assert_allclose(turned.swapaxes(0, 1), accumulate(image, earlier, motions), rtol=0, atol=2**-50)
 
     def test_its_dtype_is_the_images(self):
-        arrays = np.ones((2, 4, 3), np.float32), np.ones((2, 4, 3), np.float32), np.zeros((1, 2, 2), np.float32)
+        arrays = np.ones((2, 4, 3), np.float32), np.ones((1, 2, 4, 3), np.float32), np.zeros((1, 1, 2, 2), np.float32)
         assert accumulate(*arrays).dtype == np.float32
+
+    def test_more_than_two_are_an_error(self):
+        with pytest.raises(ArrayError, match="earlier: expected at most 2 images, got 3"):
+            accumulate(np.ones((2, 4, 3)), np.ones((3, 2, 4, 3)), np.zeros((3, 1, 2, 2)))
 
 
 class TestDepth:

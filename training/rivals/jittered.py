@@ -62,7 +62,7 @@ class JitteredBackend:
         curve: to what a screen shows, and back.
     """
 
-    name, accumulates, cost = "numpy", True, None
+    name, window, cost = "numpy", None, None
 
     def __init__(
         self,

@@ -23,7 +23,7 @@ from safetensors.torch import load_file
 from torch import nn
 
 from stss.frames.backends import NETWORK, Backend
-from stss.frames.display_frame import DisplayFrame, frame_inputs
+from stss.frames.display_frame import WINDOW, DisplayFrame, frame_inputs
 from stss.images.color import Transfer, transfer
 from stss.images.read_write import read_rgb
 from stss.images.resample import enlarge
@@ -69,7 +69,7 @@ class Chain:
         small: PSNR of each EF before it is enlarged.
     """
 
-    name, accumulates, cost, activity = "pytorch", True, None, None
+    name, window, cost, activity = "pytorch", None, None, None
 
     def __init__(
         self,
@@ -146,7 +146,7 @@ class RenderedFrames:
     `every` (``folder`` None) shows each rendered frame, bilinear; else the SFs that a method wrote to ``folder``, and RIFE between two.
     """
 
-    name, accumulates, cost = "pytorch", False, None
+    name, window, cost = "pytorch", WINDOW, None
 
     def __init__(self, method: str, rendered: Callable[[int], Image | None], curve: Transfer, folder: Path | None = None):
         self.method, self._rendered, self._curve, self._folder = method, rendered, curve, folder

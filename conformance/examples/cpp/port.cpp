@@ -398,27 +398,30 @@ static Mask rrm(Mask valid, const std::vector<int32_t> &rectangle) {
 
 // ---- Stage accumulate ----
 
-constexpr float EARLIER_SHARE = 0.375f;
+constexpr float EARLIER_SHARES[] = {0.25f, 0.125f};
 
-// The display frame mixed with the one shown before it. `motion` is that of the low-resolution pixels, half as many along each side.
-static Image accumulate(const Image &image, const Image &before, const Image &motion) {
+// An image mixed with those of the one or two display frames before it. `motions` lead there from the low-resolution pixels, half as
+// many along each side.
+static Image accumulate(const Image &image, const std::vector<Image> &earlier, const std::vector<Image> &motions) {
     Image shown = image;
     each_pixel(image, [&](int y, int x) {
-        const float *m = motion.at(y / 2, x / 2);
-        const float moved[] = {2.0f * m[0], 2.0f * m[1]};
-        const Place to = follow(moved, y, x, image.height, image.width);
-        if (!leads_inside(to, image)) return;
-        const Taps at = taps(to, image.height, image.width);
-        for (int c = 0; c < image.channels; ++c) {
-            const float here = image.at(y, x)[c];
-            float low = here, high = here;
-            for (int v = std::max(y - 1, 0); v <= std::min(y + 1, image.height - 1); ++v)
-                for (int u = std::max(x - 1, 0); u <= std::min(x + 1, image.width - 1); ++u) {
-                    low = std::min(low, image.at(v, u)[c]);
-                    high = std::max(high, image.at(v, u)[c]);
+        std::vector<float> low(image.at(y, x), image.at(y, x) + image.channels), high = low, total(image.channels);
+        for (int v = std::max(y - 1, 0); v <= std::min(y + 1, image.height - 1); ++v)
+            for (int u = std::max(x - 1, 0); u <= std::min(x + 1, image.width - 1); ++u)
+                for (int c = 0; c < image.channels; ++c) {
+                    low[c] = std::min(low[c], image.at(v, u)[c]);
+                    high[c] = std::max(high[c], image.at(v, u)[c]);
                 }
-            shown.at(y, x)[c] = lerp(here, std::clamp(bilinear(before, at, c), low, high), EARLIER_SHARE);
+        for (size_t k = 0; k < earlier.size(); ++k) {
+            const float *m = motions[k].at(y / 2, x / 2);
+            const float moved[] = {2.0f * m[0], 2.0f * m[1]};
+            const Place to = follow(moved, y, x, image.height, image.width);
+            if (!leads_inside(to, image)) continue;
+            const Taps at = taps(to, image.height, image.width);
+            for (int c = 0; c < image.channels; ++c)
+                total[c] += (std::clamp(bilinear(earlier[k], at, c), low[c], high[c]) - image.at(y, x)[c]) * EARLIER_SHARES[k];
         }
+        for (int c = 0; c < image.channels; ++c) shown.at(y, x)[c] += total[c];
     });
     return shown;
 }
@@ -1154,9 +1157,9 @@ static void run_frame(Case &c) {
 }
 
 static void run_accumulate(Case &c) {
-    const Image motion = c.image("motion", "H W 2");
-    const Image image = c.image("image", "2H 2W 3 finite"), before = c.image("before", "2H 2W 3 finite");
-    c.write("shown", accumulate(image, before, motion));
+    const auto motions = c.images("motions", "k H W 2");
+    const Image image = c.image("image", "2H 2W 3 finite");
+    c.write("shown", accumulate(image, c.images("earlier", "k 2H 2W 3 finite"), motions));
 }
 
 static const std::map<std::string, void (*)(Case &)> STAGES = {

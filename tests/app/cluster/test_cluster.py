@@ -27,11 +27,12 @@ from stss.sequence.reader import Sequence, open_sequence
 from stss.weights.file import BILINEAR, load
 from stss_ground.errors import InputError
 from stss_ground.version import VERSION
-from tests.app.conftest import PLAIN, files
+from tests.app.conftest import PLAIN, files, frames_of
 from tests.tiers import thorough
 
 FRAMES = range(20)
 SIZE = (8, 8)
+PLAINLY = ComputeOptions()
 RENDERED = frozenset(range(0, 20, 2))
 
 
@@ -42,13 +43,13 @@ def frames(write_frames, monkeypatch):
     return open_sequence(write_frames(FRAMES, rendered=RENDERED, size=SIZE), "stss")
 
 
-def on_cluster(sequence, out, where="threads", on_frame=lambda report: None, **options):
-    return run_on_cluster(sequence, out, where, Engine(load(BILINEAR), "ref", ComputeOptions()), RunOptions(**options), on_frame)
+def on_cluster(sequence, out, where="threads", on_frame=lambda report: None, compute=PLAINLY, **options):
+    return run_on_cluster(sequence, out, where, Engine(load(BILINEAR), "ref", compute), RunOptions(**options), on_frame)
 
 
-def in_one_process(sequence, out, **options):
+def in_one_process(sequence, out, compute=PLAINLY, **options):
     weights = load(BILINEAR)
-    return run(sequence, out, open_backend("ref", weights.weights), weights.label, RunOptions(**options))
+    return run(sequence, out, open_backend("ref", weights, compute), weights.label, RunOptions(**options))
 
 
 def assert_as_in_one_process(sequence, out):
@@ -174,6 +175,19 @@ def test_a_chunk_whose_worker_ends_is_computed_again(threads, frames, tmp_path, 
     with pytest.raises(InputError, match=r"workers died or hung 4 times, frames 8 to 11; --resume goes on"):
         on_cluster(frames, tmp_path / "doomed")
     assert (tmp_path / "doomed" / "frame.0007.exr").exists()
+
+
+def test_images_that_are_mixed_with_earlier_ones(threads, frames, tmp_path):
+    """A chunk's first frames are mixed with images that its worker makes; a frame that is done is not made again."""
+    threads()
+    compute = ComputeOptions(accumulate=True)
+    in_one_process(frames, tmp_path / "many", compute, frames=(5, 9))
+    summary = on_cluster(frames, tmp_path / "many", compute=compute, resume=True)
+    in_one_process(frames, tmp_path / "one", compute)
+    assert frames_of(tmp_path / "many") == frames_of(tmp_path / "one")
+    assert summary.count("kept") == 5
+    in_one_process(frames, tmp_path / "plain")
+    assert frames_of(tmp_path / "plain") != frames_of(tmp_path / "one")
 
 
 def test_workers_of_different_kinds_are_refused(threads, frames, tmp_path):

@@ -1,88 +1,153 @@
-"""Frames that are mixed with those shown before them: files, an engine's loop, and what may not go with it."""
+"""Images that are mixed with those of the two frames before: an engine's loop, files, ranges, and what skips them."""
+
+import shutil
+import tempfile
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 import stss
 from stss.cli.main import stss as command
+from stss.frames.accumulation import accumulate_arrays
 from stss.frames.compute_options import ComputeOptions
+from stss.images.headers import read_header
 from stss.images.read_write import read_rgb
-from stss_ground.errors import InputError
-from stss_ref.accumulate import accumulate
+from stss.run.job import run
+from stss.run.options import RunOptions
+from stss.weights.file import ALIASED, MADE_FOR, load, save
+from tests.app.conftest import frame_channels, frames_of, write_raw
 
 SIZE = (8, 16)
+MIXED = ComputeOptions(accumulate=True)
+COUNT = 12
 
 
 @pytest.fixture
 def sequence(write_frames):
-    """Six frames, of which every second has colour."""
-    return write_frames(range(6), size=SIZE)
+    """Eight frames, of which every second counts as rendered."""
+    return write_frames(range(8), size=SIZE)
 
 
 def loop(**options):
     return stss.Supersampler("bilinear", backend="ref", transfer="none", **options)
 
 
-def frames_of(sequence, cut=None):
+def frames_in(sequence, cut=None):
     opened = stss.open_sequence(sequence)
     for number in opened.numbers:
         buffers = opened.load(number, color=number % 2 == 0)
         yield buffers if number != cut else stss.Buffers(**{**vars(buffers), "cut": True})
 
 
-def test_each_image_is_mixed_with_the_one_shown_before_it(sequence):
-    frames = list(frames_of(sequence))
-    before = None
+@pytest.mark.parametrize("cut", [None, 4])
+def test_each_image_is_mixed_with_those_of_the_two_frames_before(sequence, cut):
+    frames, earlier, motions = list(frames_in(sequence, cut)), [], []
     for output, alone, buffers in zip(loop(accumulate=True)(frames), loop()(frames), frames, strict=True):
-        want = alone.image if before is None else accumulate(alone.image, before, np.asarray(buffers.motion, np.float32))
+        if buffers.cut:
+            earlier, motions = [], []
+        motions = [np.asarray(buffers.motion, np.float32), *motions]
+        want = accumulate_arrays(alone.image, earlier, motions[: len(earlier)]) if earlier else alone.image
         np.testing.assert_array_equal(output.image, want)
-        assert before is None or (want != alone.image).any()
-        before = want
-
-
-def test_a_cut_shows_the_frame_as_it_is(sequence):
-    frames = list(frames_of(sequence, cut=2))
-    for output, alone in zip(loop(accumulate=True)(frames), loop()(frames), strict=True):
-        assert (output.image == alone.image).all() == (output.number in (0, 2))
+        assert bool(earlier) == (want != alone.image).any()
+        earlier, motions = [alone.image, *earlier][:2], motions[:1]
 
 
 def test_sequences_in_turns_have_a_history_each(sequence):
-    backend = stss.open_backend("ref", "bilinear", ComputeOptions(accumulate=True))
-    frames = list(frames_of(sequence))
+    backend = stss.open_backend("ref", "bilinear", MIXED)
+    frames = list(frames_in(sequence))
     alone = [output.image for output in loop(accumulate=True)(frames)]
     first, second = (stss.Supersampler(backend=backend, transfer="none") for _ in range(2))
     for want, buffers in zip(alone, frames, strict=True):
         for each in (first, second):
             np.testing.assert_array_equal(each.push(buffers).image, want)
+    assert len(backend._frames) == 4  # two of each sequence
     del first, second, each
-    assert backend._images == {}
+    assert backend._frames == {}
 
 
 def test_the_device_and_files(sequence, tmp_path):
-    """The command's frames are the reference's; a range has the bits of the whole."""
-    run = ["run", str(sequence), "--weights", "bilinear", "--accumulate"]
-    for words in (["-o", "cl"], ["-o", "ref", "--backend", "ref"], ["-o", "range", "--frames", "3:4"]):
-        result = CliRunner().invoke(command, [*run, "-o", str(tmp_path / words[1]), *words[2:]])
+    """The command's frames are the reference's, and say that they are mixed."""
+    words = ["run", str(sequence), "--weights", "bilinear", "--accumulate"]
+    for out, *more in (["cl"], ["ref", "--backend", "ref"]):
+        result = CliRunner().invoke(command, [*words, "-o", str(tmp_path / out), *more])
         assert result.exit_code == 0, result.exception
-    for number in range(6):
+    for number in range(8):
         name = f"frame.{number:04d}.exr"
         images = [read_rgb(tmp_path / folder / name) for folder in ("cl", "ref")]
         np.testing.assert_allclose(*images, rtol=0, atol=2**-20)
-        if number in (3, 4):
-            np.testing.assert_array_equal(images[0], read_rgb(tmp_path / "range" / name))
+        assert read_header(tmp_path / "cl" / name).attributes["stss:method"] == "network, accumulate"
+
+
+@pytest.fixture(scope="module")
+def film(tmp_path_factory):
+    """Frames that all have colour."""
+    folder = tmp_path_factory.mktemp("film")
+    for number in range(COUNT):
+        write_raw(folder / f"seq.{number:04d}.exr", frame_channels(number, SIZE))
+    return folder
+
+
+NUMBERS = st.integers(0, COUNT - 1)
+
+
+@settings(max_examples=20)
+@given(
+    frames=st.tuples(NUMBERS, NUMBERS).map(sorted),
+    cuts=st.sets(st.integers(1, COUNT - 1), max_size=2),
+    missing=st.sets(st.integers(1, COUNT - 2), max_size=2),
+    rendered=st.sampled_from([None, "even", "odd", "all"]),
+)
+def test_a_range_has_the_bits_of_the_whole(film, frames, cuts, missing, rendered):
+    """Wherever it begins, and whatever lies before it; and a run that goes on from it keeps what is right."""
+    backend, weights = stss.open_backend("ref", "bilinear", MIXED), load("bilinear")
+    with tempfile.TemporaryDirectory() as folder:
+        taken = Path(folder) / "film"
+        shutil.copytree(film, taken)
+        for number in missing:
+            (taken / f"seq.{number:04d}.exr").write_bytes(b"cut short")
+        sequence = stss.open_sequence(taken, keep_going=True)
+        usual = RunOptions(cuts=tuple(sorted(cuts - missing)), rendered=rendered, keep_going=True)
+        run(sequence, Path(folder) / "whole", backend, weights.label, usual)
+        whole = frames_of(Path(folder) / "whole")
+        out = Path(folder) / "out"
+        run(sequence, out, stss.open_backend("ref", "bilinear", MIXED), weights.label, replace(usual, frames=tuple(frames)))
+        part = frames_of(out)
+        assert part == {name: data for name, data in whole.items() if frames[0] <= int(name.split(".")[-2]) <= frames[1]}
+        summary = run(sequence, out, backend, weights.label, replace(usual, resume=True))
+        assert frames_of(out) == whole
+        assert summary.count("kept") == sum(name.startswith("frame") for name in part)
+
+
+def test_a_still_picture_is_mixed_once(tmp_path):
+    """Where nothing changes, the images of two frames before are shown again: they have the bits."""
+    opened = stss.open_backend("cl", "realtime", ComputeOptions(accumulate=True))
+    without = stss.open_backend("cl", "realtime", ComputeOptions(accumulate=True, skip="off"))
+    calls, mix = [], opened._accumulate
+    opened._accumulate = lambda *arrays: (calls.append(arrays), mix(*arrays))[1]
+    channels = frame_channels(0, (16, 24)) | {"motion.X": np.zeros((16, 24)), "motion.Y": np.zeros((16, 24))}
+    for number in range(16):
+        write_raw(tmp_path / f"seq.{number:04d}.exr", {**channels, "R": channels["R"] * (0.5 if number < 4 else 1)})
+    frames = list(frames_in(tmp_path))
+    for got, want in zip(*(stss.Supersampler(backend=each)(frames) for each in (opened, without)), strict=True):
+        np.testing.assert_array_equal(got.image, want.image)
+    assert len(calls) == 11  # at the twelfth frame three in a row are those of two frames before
 
 
 @pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["--resume"], "--resume: each output depends on all before it, so none can be kept; expected --overwrite"),
-        (["--cluster", "local:2"], "--cluster: with --accumulate each output depends on all before it; expected one of the two"),
-    ],
+    ("made_for", "words", "mixes"), [(ALIASED, [], True), (ALIASED, ["--no-accumulate"], False), ("", [], False)]
 )
-def test_what_needs_frames_alone_is_refused(sequence, tmp_path, words, message):
-    out = tmp_path / "out"
-    result = CliRunner().invoke(command, ["run", str(sequence), "-o", str(out), "--weights", "bilinear", "--accumulate", *words])
-    assert isinstance(result.exception, InputError)
-    assert message in str(result.exception)
-    assert not out.exists()
+def test_weights_for_aliased_input_mix(sequence, tmp_path, made_for, words, mixes):
+    path = tmp_path / "own.safetensors"
+    save(path, load("bilinear").weights, {MADE_FOR: made_for} if made_for else {})
+    run_words = ["run", str(sequence), "-o", str(tmp_path / "out"), "--backend", "ref", "--weights", str(path), "--frames", "3:3"]
+    result = CliRunner().invoke(command, [*run_words, *words])
+    assert result.exit_code == 0, result.exception
+    method = read_header(tmp_path / "out" / "frame.0003.exr").attributes["stss:method"]
+    assert method == ("network, accumulate" if mixes else "network")
+    shown = CliRunner().invoke(command, ["weights", "inspect", str(path)]).output
+    assert ("made for: aliased frames" in shown) == bool(made_for)

@@ -26,11 +26,11 @@ OPTIONS = {
     "--transfer": "none",
     "--depth": "clip",
     "--format": "png",
+    "--accumulate": "",  # takes none
 }
 """An option -> a value that changes a file of the frames below; with `NO_FILE` all options of the command."""
 NO_FILE = {
     "--out", "--frames", "--resume", "--overwrite", "--cluster", "--keep-going", "--memory-limit",  # no file's content
-    "--accumulate",  # not with --resume
     "--non-finite",  # refused, or masked: no value makes two files of one frame
     "--backend", "--device", "--precision", "--skip",  # the backend's name, which is in every file, or no bit
 }  # fmt: skip
@@ -83,7 +83,7 @@ def test_resume_makes_anew_what_another_value_made(shot, tmp_path, monkeypatch, 
     monkeypatch.chdir(shot)
     weights = "bilinear" if option == "--weights" else "random.safetensors"
     base = ["--metallic", "0", "--roughness", "0.5", "--weights", weights]
-    other = [*base, option, OPTIONS[option]]
+    other = [*base, option, *OPTIONS[option].split()]
     run("-o", str(tmp_path / "old"), *base)
     before = pixels(tmp_path / "old")
     run("-o", str(tmp_path / "new"), *other)
