@@ -19,6 +19,7 @@ import pytest
 
 import stss
 from conformance.scenes import DEMO, render
+from stss.frames.accumulation import Accumulation
 from stss.frames.display_frame import prepare
 from stss.images.color import transfer
 from stss.images.headers import MAX_BYTES, MAX_CHANNELS, MAX_SIDE
@@ -249,6 +250,10 @@ def mixed():
     return (pairs[0][0] == pairs[0][1]).all() and (pairs[1][0] != pairs[1][1]).any()
 
 
+def unmixed():
+    return not isinstance(stss.Supersampler("realtime", backend="ref", accumulate=False).backend, Accumulation)
+
+
 def warm():
     loop().warm_up(SIZE)
     return True
@@ -262,6 +267,7 @@ CELLS = {
     "warm_up((H, W))": warm,
     'stss.Supersampler("realtime").warm_up((540, 960))': warm,  # of other weights and size here; engines.md's block has these
     "Supersampler(accumulate=True)": mixed,
+    "Supersampler(accumulate=False)": unmixed,
     "memory_limit=": lambda: loop(memory_limit=1 << 30).push(buffers(0)) is not None,
     'transfer="none"': highlights_change_nothing_else,
     "copy=False": lambda: loop(copy=False).push(buffers(0)) is not None,

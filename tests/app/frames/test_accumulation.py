@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 import stss
 from stss.cli.main import stss as command
-from stss.frames.accumulation import accumulate_arrays
+from stss.frames.accumulation import Accumulation, accumulate_arrays
 from stss.frames.compute_options import ComputeOptions
 from stss.images.headers import read_header
 from stss.images.read_write import read_rgb
@@ -151,3 +151,8 @@ def test_weights_for_aliased_input_mix(sequence, tmp_path, made_for, words, mixe
     assert method == ("network, accumulate" if mixes else "network")
     shown = CliRunner().invoke(command, ["weights", "inspect", str(path)]).output
     assert ("made for: aliased frames" in shown) == bool(made_for)
+
+
+def test_of_the_shipped_weights_realtime_mixes():
+    names = "realtime", "antialiased", "bilinear"
+    assert [isinstance(stss.open_backend("ref", name), Accumulation) for name in names] == [True, False, False]
