@@ -112,6 +112,8 @@ def plan(sequence: Sequence, out: Path, options: RunOptions, reads: Iterable[Pat
     """
     if options.resume and options.overwrite:
         raise InputError("--resume, --overwrite: expected one of them: keep what an earlier run finished, or replace it")
+    if whole and options.resume:
+        raise InputError("--resume: each output depends on all before it, so none can be kept; expected --overwrite")
     _require_cuts(sequence, options.cuts)
     rendered = choose_rendered(sequence.numbers, sequence.rendered, options.rendered, options.cuts)
     numbers = _numbers(sequence, options.frames)
