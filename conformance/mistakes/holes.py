@@ -102,6 +102,8 @@ HOLES = (
     _takes("paper_always", "always the paper's test", test=lambda _: "paper"),
     _takes("nov_clamped", "max(NoV, 0) for |NoV|", nov=lambda nov: np.maximum(nov, 0)),
     _takes("depth_reversed", "1 - depth for depth", depth=lambda depth: 1 - depth),
+    _takes("depth_of_16_bits", "depth in 16 bits", depth=lambda depth: np.round(depth * 65535) / np.float32(65535)),
+    _takes("normals_in_half", "earlier normals in half precision", normal_previous=half),
     _valid("inverted", "1 in the holes", np.logical_not),
     _holes("off_screen_missing", "off screen is no hole", put("holes.leads_inside", lambda at: np.ones(at.x.shape, bool))),
     _holes(

@@ -6,6 +6,7 @@ from hypothesis import strategies as st
 
 from conformance.answers.port_arithmetic import reach
 from conformance.answers.warp import within_frame
+from conformance.cases.near_limits import hardly_far, hardly_turned
 from conformance.cases.planes import SEEDS, Size, sizes
 from conformance.cases.stage_inputs import Inputs, holes_inputs, thresholds
 from conformance.judging.judge import Judge
@@ -16,6 +17,7 @@ from conformance.suite.properties import (
     agrees_on_constants,
     agrees_on_engines,
     cases,
+    cases_of,
     keeps_nothing_by_a_part,
     same_twice,
 )
@@ -30,6 +32,12 @@ def test_agrees_with_the_reference(judge: Judge, inputs: Inputs) -> Talk:
 @cases(thresholds())
 def test_agrees_near_the_thresholds(judge: Judge, inputs: Inputs) -> Talk:
     """Masks agree, too, if one comparison decides: a surface's distance or angle near its limit, or the edge of another object."""
+    yield from judge.agrees("holes", inputs)
+
+
+@cases_of([hardly_far, hardly_turned])
+def test_comparisons_need_all_bits(judge: Judge, inputs: Inputs) -> Talk:
+    """What a surface's depth, view or normal has lost in fewer bits than float32's decides a hole."""
     yield from judge.agrees("holes", inputs)
 
 

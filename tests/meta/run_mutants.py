@@ -31,7 +31,7 @@ GENERATORS = {
         "lost_motion_is_off_screen",
         "a_lost_position_is_a_hole",
     ),
-    "thresholds": ("agrees_near_the_thresholds",),
+    "thresholds": ("agrees_near_the_thresholds", "comparisons_need_all_bits"),
     "state": (
         "the_same_twice",
         "nothing_is_kept_by_a_part_of_the_inputs",

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from conformance.cases.engine_inputs import ENGINE_STAGES, engine_inputs
 from conformance.cases.every_buffer import frame_cases
+from conformance.cases.near_limits import hardly_far, hardly_turned
 from conformance.protocol.port import Case, Outputs
 from conformance.protocol.stages import STAGES
 from conformance.tolerance import ratio
@@ -105,6 +106,7 @@ def _holes(generator: np.random.Generator) -> Any:
             "normal_previous": np.stack([np.sin(leaning), 0 * leaning, np.cos(leaning)], axis=-1),
         }  # fmt: skip
         yield {**inputs, **still}, None
+    yield from ((make(generator), None) for make in (hardly_far, hardly_turned))
 
 
 def _occlusion_warp(generator: np.random.Generator) -> Any:
