@@ -39,18 +39,16 @@ def accumulate_arrays(image: Image, earlier: Sequence[Image], motions: Sequence[
 
 
 @dataclass(frozen=True)
-class _Shown:
+class _Kept:
     """What is kept of a display frame.
 
     Attributes:
         image: as the backend made it.
-        shown: the mixed one; None: only ``image`` was asked for.
-        again: ``image`` is that of two frames before, and nothing moved since.
+        again: what was shown, if ``image`` is that of two frames before and nothing moved since; else None.
     """
 
     image: Image
-    shown: Image | None = None
-    again: bool = False
+    again: Image | None = None
 
 
 class Accumulation:
@@ -65,7 +63,7 @@ class Accumulation:
     def __init__(self, backend: Backend, accumulate: Accumulate):
         self.name, self.method = backend.name, f"{backend.method}, accumulate"
         self._backend, self._accumulate = backend, accumulate
-        self._frames: dict[int, _Shown] = {}
+        self._frames: dict[int, _Kept] = {}
         """The id of each of the last two frames of each sequence under way -> what is kept of it; gone with the frame."""
 
     @property
@@ -88,16 +86,16 @@ class Accumulation:
         earlier = before[: before.index(None)] if None in before else before
         image, valid = self._backend.compute(window, steps)
         shown, again = self._mix(image, [each for each in earlier if each is not None], window)
-        self._keep(window[-1], _Shown(image, shown, again))
+        self._keep(window[-1], _Kept(image, shown if again else None))
         if len(window) > EARLIER:
             self._frames.pop(id(window[-1 - EARLIER]), None)
         return shown, valid
 
-    def _mix(self, image: Image, earlier: Sequence[_Shown], window: Sequence[DisplayFrame]) -> tuple[Image, bool]:
+    def _mix(self, image: Image, earlier: Sequence[_Kept], window: Sequence[DisplayFrame]) -> tuple[Image, bool]:
         if not earlier:
             return image, False
         again = len(earlier) == EARLIER and image.base is not None and image.base is earlier[1].image.base and self._rests()
-        if again and all(each.again for each in earlier) and (shown := earlier[1].shown) is not None:
+        if again and earlier[0].again is not None and (shown := earlier[1].again) is not None:
             return shown, True  # what it is made of is that of two frames before
         motions = [frame.motion for frame in window[: -1 - len(earlier) : -1]]
         return self._accumulate(image, [each.image for each in earlier], motions), again
@@ -106,17 +104,17 @@ class Accumulation:
         cost = self.cost
         return cost is not None and cost.network == "none"
 
-    def _made(self, window: Sequence[DisplayFrame]) -> _Shown | None:
+    def _made(self, window: Sequence[DisplayFrame]) -> _Kept | None:
         """What is kept of the last frame of ``window``, computed if need be; None where it has no output."""
         if (kept := self._frames.get(id(window[-1]))) is not None:
             return kept
         if (timing := plan(window)) is None:
             return None
-        made = _Shown(self._backend.compute(window, timing.steps)[0])
+        made = _Kept(self._backend.compute(window, timing.steps)[0])
         self._keep(window[-1], made)
         return made
 
-    def _keep(self, frame: DisplayFrame, shown: _Shown) -> None:
+    def _keep(self, frame: DisplayFrame, kept: _Kept) -> None:
         if id(frame) not in self._frames:
             weakref.finalize(frame, self._frames.pop, id(frame), None)
-        self._frames[id(frame)] = shown
+        self._frames[id(frame)] = kept
