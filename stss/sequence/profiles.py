@@ -170,6 +170,8 @@ def load_profile(name_or_path: str | Path, **changes: Any) -> Profile:
     else:
         path = path_given
         if not path.exists():
+            if path.suffix == ".toml":
+                raise InputError(f"profile {text}: no such file")
             names = profile_names()
             raise InputError(f"profile {text}: expected one of {', '.join(names)} or a TOML file{suggest(text, names)}")
     table = _read(path)

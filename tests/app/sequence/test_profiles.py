@@ -267,6 +267,11 @@ def test_device_depth(reverse, far):
     assert np.isinf(depth[0, 5])
 
 
+def test_a_profile_file_that_is_not_there(tmp_path):
+    with pytest.raises(InputError, match=r"mine\.toml: no such file"):
+        load_profile(tmp_path / "mine.toml")
+
+
 def test_two_layers_without_a_profile_are_named(tmp_path):
     """Blender's view layers BG and FG: the error is the one that --profile blender gives."""
     names = [n for of in load_profile("blender").channels.values() for n in of[0]]
