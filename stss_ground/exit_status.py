@@ -34,11 +34,7 @@ def run_guarded(command: click.Command, *mistakes: type[Exception]) -> None:
         _require_utf8(sys.argv[1:])
         status = command.main(standalone_mode=False)
     except click.ClickException as error:
-        if isinstance(error, _NO_ARGUMENTS):
-            for line in error.format_message().splitlines():
-                echo(line, err=True)
-            sys.exit(2)
-        _fail(" ".join(error.format_message().split()))
+        _fail_of_click(error)
     except (UserError, *mistakes) as error:
         _fail(str(error))
     except (KeyboardInterrupt, click.exceptions.Abort):
@@ -82,6 +78,15 @@ def _require_utf8(words: list[str]) -> None:
             word.encode()
         except UnicodeEncodeError:
             raise UserError(f"{word}: expected a name in UTF-8") from None
+
+
+def _fail_of_click(error: click.ClickException) -> None:
+    message = error.format_message()
+    if isinstance(error, _NO_ARGUMENTS):
+        for line in message.splitlines():
+            echo(line, err=True)
+        sys.exit(2)
+    _fail(" ".join(message.split()))
 
 
 def _fail(message: str) -> None:

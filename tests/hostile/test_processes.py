@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import click
 import pytest
@@ -37,7 +38,7 @@ def test_a_closed_stream_is_no_file(frames, tmp_path):
 def test_a_current_folder_that_was_removed_is_said(frames, tmp_path):
     (tmp_path / "here").mkdir()
     words = f"cd here && rmdir ../here && {sys.executable} -m stss run {frames} -o {tmp_path / 'out'} --weights bilinear"
-    environment = {**os.environ, "PYTHONPATH": os.getcwd()}
+    environment = {**os.environ, "PYTHONPATH": str(Path.cwd())}
     process = subprocess.run(["sh", "-c", words], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
     assert (process.returncode, process.stderr) == (2, "stss: the current folder was removed; change to another one\n")
 
