@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Iterable, Iterator
+from collections.abc import Generator, Iterable, Iterator
 from contextlib import contextmanager
 from hashlib import sha256
 from pathlib import Path
@@ -144,7 +144,7 @@ def write_camera(cameras: Iterable[tuple[int, Any, tuple[float, ...]]], path: Pa
 
 
 @contextmanager
-def changed(*settings: tuple[Any, str, Any]) -> Iterator[None]:
+def changed(*settings: tuple[Any, str, Any]) -> Generator[None]:
     """Have settings (object, name, value) for a while; then they are as they were."""
     before = [(of, name, getattr(of, name)) for of, name, _ in settings]
     try:

@@ -23,7 +23,9 @@ def panel(scene):
     stream, frames = Stream(load("antialiased").weights), list(display_frames(SCENES[scene], (136, 240), COUNT))
     for number in range(COUNT):
         window = window_at(frames, number)
-        image, _ = stream(window, plan(window).steps)
+        timing = plan(window)
+        assert timing is not None
+        image, _ = stream(window, timing.steps)
     share = stream.activity().repeat(8, axis=0).repeat(8, axis=1)[: image.shape[0], : image.shape[1], None]
     grey = DIM * np.clip(image, 0, 1).mean(axis=-1, keepdims=True)
     return grey + share * (1 - DIM) * np.asarray(BUSY, np.float32)

@@ -16,7 +16,7 @@ from mathutils import Euler, Vector
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "blender"))
-from passes import changed, set_up, write_camera  # noqa: E402
+from passes import changed, set_up, survey, write_camera  # noqa: E402
 
 FRAMES = range(6)
 SIZE = 1920, 1080
@@ -333,10 +333,10 @@ def main():
     scene = make()
     plain(scene)
     scene.frame_start, scene.frame_end = FRAMES[0], FRAMES[-1]
-    warnings = set_up(scene, scene.view_layers[0])
+    warnings = set_up(scene.view_layers[0])
     assert not warnings, warnings
     (out / "lr").mkdir(parents=True, exist_ok=True)
-    write_camera(scene, FRAMES, out / "camera.csv")
+    write_camera(survey(scene, scene.view_layers[0], FRAMES), out / "camera.csv")
     for number in FRAMES:
         scene.frame_set(number)
         scene.render.filepath = str(out / "lr" / f"frame.{number:04d}.exr")
