@@ -18,6 +18,7 @@ from stss_cl.device import amx, matrix_units, program
 from stss_cl.device.buffers import pad, read, write
 from stss_cl.device.discovery import open_device
 from stss_cl.device.tuning import BUILT_IN, built_in_rows, trial
+from stss_cl.image_space.accumulate import Accumulate
 from stss_cl.image_space.stages import ImageStages
 from stss_cl.network import conv_gpu
 from stss_cl.network.conv import ConvSpec, conv
@@ -150,6 +151,7 @@ def stages(device):
                 : None if gather == "longest" else 1
             ]:
                 yield from ImageStages(device, gather).run_stage(stage, mixed if stage == "accumulate" else inputs).values()
+        yield Accumulate(device)(image, earlier, mixed["motions"])
 
 
 SIZES = (1, 1), (3, 5), (8, 8), (9, 13)
