@@ -14,12 +14,15 @@ from hypothesis import strategies as st
 import stss
 from stss.cli.main import stss as command
 from stss.frames.accumulation import Accumulation, accumulate_arrays
+from stss.frames.backends import NETWORK
 from stss.frames.compute_options import ComputeOptions
+from stss.frames.display_frame import OnArrays
 from stss.images.headers import read_header
 from stss.images.read_write import read_rgb
 from stss.run.job import run
 from stss.run.options import RunOptions
 from stss.weights.file import ALIASED, MADE_FOR, load, save
+from stss_ref.resample import upsample_centres
 from tests.app.conftest import frame_channels, frames_of, write_raw
 
 SIZE = (8, 16)
@@ -57,6 +60,17 @@ def test_each_image_is_mixed_with_those_of_the_two_frames_before(sequence, cut):
         earlier, motions = [alone.image, *earlier][:2], motions[:1]
 
 
+def test_what_follows_a_frame_without_output_is_shown_as_it_is(sequence):
+    """Frame 2 has none: its rendered frame and that of frame 1 are lost. Frame 3 has no earlier image, though frame 1 has one."""
+    color = next(frames_in(sequence)).color
+    frames = [replace(buffers, color=color if buffers.number in {0, 3} else None) for buffers in frames_in(sequence)]
+    mixed, alone = loop(accumulate=True), loop()
+    pairs = [(mixed.push(buffers), alone.push(buffers)) for buffers in frames[:5]]
+    assert pairs[2] == (None, None)
+    same = [None if a is None else np.array_equal(a.image, b.image) for a, b in pairs]
+    assert same == [True, False, None, True, False]
+
+
 def test_sequences_in_turns_have_a_history_each(sequence):
     backend = stss.open_backend("ref", "bilinear", MIXED)
     frames = list(frames_in(sequence))
@@ -92,6 +106,15 @@ def film(tmp_path_factory):
     return folder
 
 
+class ReadsAll(OnArrays):
+    """An image of the three colours that stage ``frame`` may read; weights differ in how many they use."""
+
+    name, method = "reads all", NETWORK
+
+    def frame(self, inputs):
+        return upsample_centres(inputs.colors.mean(axis=0)), np.ones(inputs.nov.shape, bool)
+
+
 NUMBERS = st.integers(0, COUNT - 1)
 
 
@@ -104,7 +127,7 @@ NUMBERS = st.integers(0, COUNT - 1)
 )
 def test_a_range_has_the_bits_of_the_whole(film, frames, cuts, missing, rendered):
     """Wherever it begins, and whatever lies before it; and a run that goes on from it keeps what is right."""
-    backend, weights = stss.open_backend("ref", "bilinear", MIXED), load("bilinear")
+    weights = load("bilinear")
     with tempfile.TemporaryDirectory() as folder:
         taken = Path(folder) / "film"
         shutil.copytree(film, taken)
@@ -112,10 +135,11 @@ def test_a_range_has_the_bits_of_the_whole(film, frames, cuts, missing, rendered
             (taken / f"seq.{number:04d}.exr").write_bytes(b"cut short")
         sequence = stss.open_sequence(taken, keep_going=True)
         usual = RunOptions(cuts=tuple(sorted(cuts - missing)), rendered=rendered, keep_going=True)
-        run(sequence, Path(folder) / "whole", backend, weights.label, usual)
+        run(sequence, Path(folder) / "whole", Accumulation(ReadsAll(), accumulate_arrays), weights.label, usual)
         whole = frames_of(Path(folder) / "whole")
         out = Path(folder) / "out"
-        run(sequence, out, stss.open_backend("ref", "bilinear", MIXED), weights.label, replace(usual, frames=tuple(frames)))
+        backend = Accumulation(ReadsAll(), accumulate_arrays)
+        run(sequence, out, backend, weights.label, replace(usual, frames=tuple(frames)))
         part = frames_of(out)
         assert part == {name: data for name, data in whole.items() if frames[0] <= int(name.split(".")[-2]) <= frames[1]}
         summary = run(sequence, out, backend, weights.label, replace(usual, resume=True))
