@@ -60,8 +60,8 @@ def encode_exr(
         ValueError: a value is not finite.
     """
     require_finite(path, names, pixels)
-    # By largest and smallest value: np.abs would copy the channel, and a maximum along two axes is ten times as slow.
-    fits = [max(pixels[..., i].max(), -pixels[..., i].min()) <= HALF_MAX for i in range(len(names))]
+    all_fit = _is_half(pixels)  # of all at once, since one channel alone takes as long
+    fits = [all_fit or _is_half(pixels[..., i]) for i in range(len(names))]
     formats = ["half" if name in half and small else "float" for name, small in zip(names, fits, strict=True)]
     spec = oiio.ImageSpec(pixels.shape[1], pixels.shape[0], len(names), formats[0])
     if windows is not None:
@@ -96,6 +96,12 @@ def encode_png(path: Path, pixels: np.ndarray[Any, np.dtype[np.uint8]], metadata
     if not whole_png(io.BytesIO(data[8:])):
         raise _cut_short(path)
     return data
+
+
+def _is_half(pixels: Array) -> bool:
+    """Whether no value exceeds half's range."""
+    # By largest and smallest value: np.abs would copy them, and a maximum along two axes is ten times as slow.
+    return bool(max(pixels.max(), -pixels.min()) <= HALF_MAX)
 
 
 def require_finite(path: Path, names: tuple[str, ...], pixels: Array) -> None:

@@ -35,7 +35,7 @@ def read_channels(path: Path, names: Sequence[str], window: PixelWindow | None =
         window: the pixels to return, 0 where a channel has none; None: the display window.
 
     Returns:
-        Name -> (H, W) float32. Whole numbers of an EXR keep their value; those of a PNG come as 0..1.
+        Name -> (H, W) float32, perhaps a view of a larger array. Whole numbers of an EXR keep their value; those of a PNG come as 0..1.
 
     Raises:
         InputError: as `read_header`; a channel is not there; or a pixel of the file cannot be decoded.
@@ -52,14 +52,15 @@ def read_channels(path: Path, names: Sequence[str], window: PixelWindow | None =
             error = last_error(image)
             if pixels is None or error or pixels.shape[:2] != data.size:
                 raise InputError(f"{path}: truncated or corrupt: {error or 'pixels cannot be decoded'}")
+            if kind == "float":
+                make_quiet(pixels)
             for name in names:
                 if places[name][0] == part and first <= places[name][1] < stop:
-                    values = pixels[..., places[name][1] - first]
+                    values = move(pixels[..., places[name][1] - first], data, window or header.display)
                     if kind == "uint16":  # OpenImageIO multiplies: some levels come a little low
                         values = values / 65535
-                    values = move(values, data, window or header.display)
-                    planes[name] = _quiet(np.ascontiguousarray(values, dtype=np.float32))
-                    if (bad := merge(values, planes[name])) is not None:
+                    planes[name] = values.astype(np.float32, copy=False)
+                    if kind == "uint" and (bad := merge(values, planes[name])) is not None:
                         raise InputError(f"{path}: channel {name}: {bad}")
     return {name: planes[name] for name in names}
 
@@ -75,12 +76,11 @@ def merge(values: Array, plane: Plane) -> str | None:
     return f"expected whole numbers up to {WHOLE}, beyond which 32-bit floats merge them; found {values[y, x]} at (y={y}, x={x})"
 
 
-def _quiet(plane: Plane) -> Plane:
+def make_quiet(pixels: Array) -> None:
     """Turn signalling NaN into quiet ones, in place: NumPy warns when it casts a signalling one."""
-    nan = np.isnan(plane)
+    nan = np.isnan(pixels)
     if nan.any():
-        plane[nan] = np.nan
-    return plane
+        pixels[nan] = np.nan
 
 
 def read_rgb(path: Path) -> Image:

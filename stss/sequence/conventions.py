@@ -166,7 +166,10 @@ def to_specification(
     depth = linear_depth(buffers["depth"][..., 0], profile.depth)
     normal, background = world_normal(buffers["normal"], profile.normal)
     background |= ~np.isfinite(depth) if outside is None else ~np.isfinite(depth) | outside
-    position = np.where(np.isfinite(buffers["position"]).all(axis=-1, keepdims=True), buffers["position"], np.nan)
+    position = buffers["position"]
+    finite = np.isfinite(position)
+    if not finite.all():
+        position = np.where(finite.all(axis=-1, keepdims=True), position, np.nan)
     if profile.depth.kind == "ray":
         depth = ray_to_planar(depth, position, camera)
     if "nov" not in buffers:

@@ -101,9 +101,9 @@ def settle_non_finite(buffers: dict[str, Array], sources: Mapping[str, Source], 
         InputError: the policy is "refuse", and there is such a value.
     """
     color = buffers.get("color")
-    hole = None if color is None else ~np.isfinite(color).all(axis=-1, keepdims=True)
     settle_all_finite({buffer: buffers[buffer] for buffer in FINITE if buffer in buffers}, sources, policy, into=buffers)
-    if hole is not None and hole.any():
+    if color is not None and buffers["color"] is not color:
+        hole = ~np.isfinite(color).all(axis=-1, keepdims=True)
         buffers["position"] = np.where(hole, np.float32(np.nan), buffers["position"])
 
 
