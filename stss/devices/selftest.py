@@ -21,10 +21,12 @@ from numpy.typing import NDArray
 
 from conformance.tolerance import ratio
 from stss.devices.trial import SIZE, trial_weights
+from stss.images.color import transfer
 from stss.weights.file import REALTIME
 from stss_cl.device.discovery import Device, DeviceError, open_device
 from stss_cl.device.launch import Kernel
 from stss_cl.device.program import program_for
+from stss_cl.image_space.output import CURVE_ERROR, OutputKernels
 from stss_cl.image_space.stages import ImageStages
 from stss_cl.skip.arrival import Arrival
 from stss_cl.skip.stream import Stream
@@ -32,6 +34,7 @@ from stss_ref.accumulate import accumulate
 from stss_ref.frame import FrameInputs, prepare
 from stss_ref.network import network as reference_network
 from stss_ref.occlusion_warp import occlusion_warp
+from stss_ref.resample import upsample_centres
 from stss_ref.warp import warp
 
 COUNT = 1003
@@ -193,8 +196,19 @@ def arrival(device: Device, generator: np.random.Generator) -> None:
         raise MismatchError("arrive: NaN is not found")
 
 
+def output(device: Device, generator: np.random.Generator) -> None:
+    """Planes are carried past the network bit for bit, and an image goes back through the sRGB curve within its bound."""
+    kernels, size = OutputKernels(device), (24, 40)
+    plane, motion = generator.random((*size, 3)).astype(np.float32), generator.uniform(-9, 9, (*size, 2)).astype(np.float32)
+    _exact("carried", kernels.carry(plane, motion), upsample_centres(warp(plane, motion)[0]))
+    linear = transfer("srgb").decode(plane)
+    error = np.abs(kernels.decode(plane, (0.0, 1.0), srgb=True, above=None).astype(np.float64) - linear)
+    if not (error <= (CURVE_ERROR + 2.0**-24) * linear).all():  # the host's own is rounded, too
+        raise MismatchError(f"sRGB: {(error / linear).max() / CURVE_ERROR:.3g} times the allowed error")
+
+
 CHECKS: tuple[Callable[[Device, np.random.Generator], None], ...] = (
-    arithmetic, vectors, groups, turns, nearest, image_stages, arrival,
+    arithmetic, vectors, groups, turns, nearest, image_stages, output, arrival,
 )  # fmt: skip
 
 

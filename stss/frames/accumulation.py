@@ -12,10 +12,11 @@ import numpy as np
 
 from stss.frames.compute_options import ComputeOptions
 from stss.frames.display_frame import WINDOW, DisplayFrame, plan
+from stss.images.color import Transfer
 from stss.weights.file import LoadedWeights
 from stss_cl.cost import Cost
 from stss_ref.accumulate import accumulate
-from stss_ref.arrays import Image, Mask
+from stss_ref.arrays import Array, Image, Mask
 from stss_ref.constants import EARLIER_SHARES
 from stss_ref.motion_chain import chain_steps
 
@@ -90,6 +91,14 @@ class Accumulation:
         if len(window) > EARLIER:
             self._frames.pop(id(window[-1 - EARLIER]), None)
         return shown, valid
+
+    def carry(self, plane: Array, motion: Image | None) -> Image:
+        """See ``Backend``."""
+        return self._backend.carry(plane, motion)
+
+    def decode(self, image: Image, curve: Transfer, above: Image | None) -> Image:
+        """See ``Backend``."""
+        return self._backend.decode(image, curve, above)
 
     def _mix(self, image: Image, earlier: Sequence[_Kept], window: Sequence[DisplayFrame]) -> tuple[Image, bool]:
         if not earlier:

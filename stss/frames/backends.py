@@ -9,14 +9,16 @@ from threading import Lock
 from typing import Protocol
 
 from stss.frames.accumulation import Accumulation, accumulate_arrays, accumulates
+from stss.frames.carried_planes import WHITE
 from stss.frames.compute_options import ComputeOptions
 from stss.frames.display_frame import WINDOW, DisplayFrame, OnArrays
+from stss.images.color import Transfer
 from stss.weights.file import LoadedWeights, load
 from stss_cl.cost import Cost
 from stss_cl.liveness import has_residual
 from stss_ground.arguments import require_choice, require_kind
 from stss_ground.errors import InputError
-from stss_ref.arrays import Image, Mask
+from stss_ref.arrays import Array, Image, Mask, require_finite
 from stss_ref.constants import Gather
 from stss_ref.frame import FrameInputs, frame, prepare
 from stss_ref.resample import upsample_centres
@@ -64,6 +66,23 @@ class Backend(Protocol):
         """
         ...
 
+    def carry(self, plane: Array, motion: Image | None) -> Image:
+        """Bring a plane past the network to the output's size and time, as `stss.frames.carried_planes.carry`."""
+        ...
+
+    def decode(self, image: Image, curve: Transfer, above: Image | None) -> Image:
+        """Take an image of ``compute`` back to the domain that its colours came in, with the highlights of the frame.
+
+        Args:
+            image: (2H, 2W, 3) display-referred.
+            curve: the transfer of its colours.
+            above: (2H, 2W, 3) the plane `stss.frames.carried_planes.HIGHLIGHTS`, as ``carry`` made it; None: it has none.
+
+        Raises:
+            ArrayError: ``image`` holds NaN or Inf: a fault of the network that must not be hidden.
+        """
+        ...
+
 
 class ReferenceBackend(OnArrays):
     """``stss_ref``, in the dtype of the inputs."""
@@ -94,12 +113,14 @@ class OpenCLBackend:
         from stss.devices.selection import choose
         from stss.devices.trial import trial_for
         from stss_cl.device.amx import why_emulated
+        from stss_cl.image_space.output import OutputKernels
         from stss_cl.skip.stream import Stream
 
         device = choose(options.device, tell, trial=trial_for(weights))
         if options.precision == "bfloat16" and (why := why_emulated(device)):
             tell(f"bfloat16: {why}; emulated, which is slow")
         self._stream = Stream(weights, device, options.precision, memory_limit=options.memory_limit, skip=options.skip)
+        self._output = OutputKernels(device)
         role = "" if device.kind.lower() == device.device_class else f" as {device.device_class}"
         self.device = device
         self.name = f"cl {options.precision} on {device.name}{role}, {device.driver}"
@@ -108,11 +129,21 @@ class OpenCLBackend:
         """See ``Backend``."""
         with self._alone:
             self._stream.expect(size)
+            self._output.load()
 
     def compute(self, window: Sequence[DisplayFrame], steps: tuple[int, int, int]) -> tuple[Image, Mask]:
         """See ``Backend``; threads that share a backend take turns."""
         with self._alone:
             return self._stream(window, steps)
+
+    def carry(self, plane: Array, motion: Image | None) -> Image:
+        """See ``Backend``."""
+        return self._output.carry(plane, motion)
+
+    def decode(self, image: Image, curve: Transfer, above: Image | None) -> Image:
+        """See ``Backend``."""
+        require_finite("image", image)
+        return self._output.decode(image, WHITE, srgb=curve.name == "srgb", above=above)
 
     @property
     def cost(self) -> Cost:

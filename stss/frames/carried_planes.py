@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from stss.images.color import LARGEST
@@ -40,14 +38,14 @@ def add_highlights(color: Image, image: Image, above: Image) -> None:
     color.reshape(-1)[at] += above.reshape(-1)[at] * share
 
 
-def carry(planes: Mapping[str, Array], motion: Image | None) -> dict[str, Image]:
-    """Bring planes of the newest rendered frame to the size and time of the output.
+def carry(plane: Array, motion: Image | None) -> Image:
+    """Bring a plane of the newest rendered frame to the size and time of the output.
 
     Args:
-        planes: name -> (H, W, C).
+        plane: (H, W, C).
         motion: (H, W, 2) that leads from the display frame to the rendered one; None: they are the same frame.
 
     Returns:
-        name -> (2H, 2W, C) float32.
+        (2H, 2W, C).
     """
-    return {name: upsample_centres(plane if motion is None else warp(plane, motion)[0]) for name, plane in planes.items()}
+    return upsample_centres(plane if motion is None else warp(plane, motion)[0])

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from stss.frames.buffers import Buffers
-from stss.frames.carried_planes import HIGHLIGHTS, highlights
+from stss.frames.carried_planes import HIGHLIGHTS, add_highlights, carry, highlights
 from stss.images.color import Transfer
 from stss_ref.arrays import Array, Image, Mask, Plane
 from stss_ref.depth import DepthMode, normalise_depth
@@ -121,7 +121,22 @@ def _wide(plane: Array) -> Array:
     return plane.astype(np.float32) if plane.dtype == np.float16 else plane
 
 
-class OnArrays(ABC):
+class OnHost:
+    """The part of a backend (``stss.frames.backends.Backend``) behind stage ``frame``, in NumPy."""
+
+    def carry(self, plane: Array, motion: Image | None) -> Image:
+        """See ``Backend``."""
+        return carry(plane, motion)
+
+    def decode(self, image: Image, curve: Transfer, above: Image | None) -> Image:
+        """See ``Backend``."""
+        color = curve.decode(image)
+        if above is not None:
+            add_highlights(color, image, above)
+        return color
+
+
+class OnArrays(OnHost, ABC):
     """A backend (``stss.frames.backends.Backend``) that computes every frame from stacked arrays, without earlier results."""
 
     cost: None = None

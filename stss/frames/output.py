@@ -4,12 +4,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from stss.frames.backends import Backend
-from stss.frames.carried_planes import HIGHLIGHTS, add_highlights, carry
+from stss.frames.carried_planes import HIGHLIGHTS
 from stss.frames.display_frame import DisplayFrame, plan
 from stss.images.color import Transfer
 from stss_ground.errors import InputError
@@ -36,29 +36,23 @@ class Output:
     carried: Mapping[str, Image] = field(default_factory=dict[str, Image])
 
 
-def compute(window: Sequence[DisplayFrame], backend: Backend) -> Output | None:
-    """Compute the newest frame of ``window``, display-referred; None for an EF with no rendered frame just before it.
+def compute(window: Sequence[DisplayFrame], backend: Backend, curve: Transfer) -> Output | None:
+    """Compute the newest frame of ``window``; None for an EF with no rendered frame just before it.
 
     Args:
         window: consecutive display frames of one size, oldest first, as many as the backend takes.
         backend: the backend to compute it with.
+        curve: the transfer that their colours went through.
     """
     timing = plan(window)
     if timing is None:
         return None
     image, valid = backend.compute(window, timing.steps)
     step, newest = timing.steps[0], window[-1]
-    carried = carry(window[-1 - step].carried, newest.motion if step else None)
-    return Output(newest.number, timing.kind, image, valid, carried)
-
-
-def decode(output: Output, curve: Transfer) -> Output:
-    """Take an output of `compute` back to the domain that its colours came in, with its highlights."""
-    image = curve.decode(output.image)
-    carried = dict(output.carried)
-    if (above := carried.pop(HIGHLIGHTS, None)) is not None:
-        add_highlights(image, output.image, above)
-    return replace(output, image=image, valid=np.array(output.valid), carried=carried)  # a backend may keep its own for later
+    motion, planes = newest.motion if step else None, window[-1 - step].carried
+    carried = {name: backend.carry(plane, motion) for name, plane in planes.items()}
+    color = backend.decode(image, curve, carried.pop(HIGHLIGHTS, None))
+    return Output(newest.number, timing.kind, color, np.array(valid), carried)  # a backend may keep its own for later
 
 
 def choose_rendered(

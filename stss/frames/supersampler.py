@@ -15,7 +15,7 @@ from stss.frames.buffers import Buffers
 from stss.frames.check_buffers import check_buffers
 from stss.frames.compute_options import ComputeOptions, Precision, Skip
 from stss.frames.display_frame import WINDOW, DisplayFrame, prepare
-from stss.frames.output import Output, compute, decode
+from stss.frames.output import Output, compute
 from stss.images.color import transfer as transfer_named
 from stss.images.headers import MAX_SIDE
 from stss.weights.file import REALTIME, LoadedWeights
@@ -76,7 +76,7 @@ class Supersampler:
             options = ComputeOptions(device, precision, memory_limit, skip, accumulate)
             is_auto = isinstance(weights, str) and weights == "auto"
             backend = open_backend(backend, REALTIME if is_auto else weights, options, tell=tell)
-        if not all(callable(getattr(backend, name, None)) for name in ("compute", "expect")):
+        if not all(callable(getattr(backend, name, None)) for name in ("compute", "carry", "decode", "expect")):
             raise InputError(f"backend: expected a name or one from open_backend, got {type(backend).__name__}")
         self.backend = backend
         self._busy = Lock()
@@ -116,8 +116,7 @@ class Supersampler:
         if last is not None and (buffers.cut or frame.number != last.number + 1 or frame.nov.shape != last.nov.shape):
             self.reset()
         self._window.append(frame)
-        output = compute(tuple(self._window), self.backend)
-        return None if output is None else decode(output, self._curve)
+        return compute(tuple(self._window), self.backend, self._curve)
 
     def __call__(self, frames: Iterable[Buffers]) -> Iterator[Output]:
         """Push frame after frame; yields each output before it reads the next frame.

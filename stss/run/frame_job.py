@@ -11,7 +11,7 @@ from typing import Literal, Protocol
 
 from stss.frames.backends import Backend, Cost
 from stss.frames.display_frame import WINDOW, DisplayFrame
-from stss.frames.output import Output, compute, decode, shot_start
+from stss.frames.output import Output, compute, shot_start
 from stss.frames.static_holes import static_holes
 from stss.images.color import Transfer, transfer
 from stss.images.headers import Value, read_header
@@ -83,7 +83,7 @@ class _Job:
 
 @dataclass(frozen=True)
 class _Result:
-    """One output as the backend computed it, display-referred."""
+    """One output as the backend computed it."""
 
     key: str
     output: Output
@@ -172,7 +172,7 @@ class FrameJob:
         """Compute it, or report the reason why not; only this step uses ``backend``."""
         if isinstance(job, FrameReport):
             return job
-        output = compute(job.window, self.backend)
+        output = compute(job.window, self.backend, self.curve)
         if output is None:
             number = job.window[-1].number
             # At the start of a shot this is expected; later on it means that an earlier frame could not be read.
@@ -187,10 +187,10 @@ class FrameJob:
         return _Result(job.key, output, self.backend.cost, share, job.attributes)
 
     def write(self, job: _Result | FrameReport) -> FrameReport:
-        """Take it back through the transfer and write its files."""
+        """Write its files."""
         if isinstance(job, FrameReport):
             return job
-        output = decode(job.output, self.curve)
+        output = job.output
         if output.kind is FrameKind.EF:
             name = frame_name(output.number, "png", HOLES)
             canvas, display = self.windows

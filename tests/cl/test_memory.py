@@ -14,11 +14,13 @@ import numpy as np
 import pyopencl as cl
 import pytest
 
+from stss.frames.carried_planes import WHITE
 from stss_cl.device import amx, matrix_units, program
 from stss_cl.device.buffers import pad, read, write
 from stss_cl.device.discovery import open_device
 from stss_cl.device.tuning import BUILT_IN, built_in_rows, trial
 from stss_cl.image_space.accumulate import Accumulate
+from stss_cl.image_space.output import OutputKernels
 from stss_cl.image_space.stages import ImageStages
 from stss_cl.network import conv_gpu
 from stss_cl.network.conv import ConvSpec, conv
@@ -152,6 +154,9 @@ def stages(device):
             ]:
                 yield from ImageStages(device, gather).run_stage(stage, mixed if stage == "accumulate" else inputs).values()
         yield Accumulate(device)(image, earlier, mixed["motions"])
+        output = OutputKernels(device)
+        yield from (output.carry(inputs["color"], motion) for motion in (inputs["motion"], None))
+        yield from (output.decode(image, WHITE, srgb=srgb, above=above) for srgb in (True, False) for above in (earlier[0], None))
 
 
 SIZES = (1, 1), (3, 5), (8, 8), (9, 13)

@@ -12,7 +12,7 @@ from typing import Protocol
 import numpy as np
 
 from stss.frames.buffers import Buffers
-from stss.frames.display_frame import DisplayFrame, frame_inputs
+from stss.frames.display_frame import DisplayFrame, OnHost, frame_inputs
 from stss.images.color import Transfer
 from stss_ground.errors import InputError
 from stss_lab.baselines.taau import Taau
@@ -51,7 +51,7 @@ class Upsampler(Protocol):
         ...
 
 
-class JitteredBackend:
+class JitteredBackend(OnHost):
     """An upsampler, or `Taau`, as a `stss.frames.backends.Backend`.
 
     Args:

@@ -23,7 +23,7 @@ from safetensors.torch import load_file
 from torch import nn
 
 from stss.frames.backends import NETWORK, Backend
-from stss.frames.display_frame import WINDOW, DisplayFrame, frame_inputs
+from stss.frames.display_frame import WINDOW, DisplayFrame, OnHost, frame_inputs
 from stss.images.color import Transfer, transfer
 from stss.images.read_write import read_rgb
 from stss.images.resample import enlarge
@@ -57,7 +57,7 @@ JITTERED = ("taau", "wgsl", "nss")
 """Methods that `--jitter` tells of the camera's jitter."""
 
 
-class Chain:
+class Chain(OnHost):
     """One of `CHAINS` as a `stss.frames.backends.Backend`, for one run.
 
     Args:
@@ -140,7 +140,7 @@ class Chain:
         return _run(run, np.concatenate(planes, axis=-1, dtype=np.float32), 8)
 
 
-class RenderedFrames:
+class RenderedFrames(OnHost):
     """Frames that are there already, as a backend.
 
     `every` (``folder`` None) shows each rendered frame, bilinear; else the SFs that a method wrote to ``folder``, and RIFE between two.

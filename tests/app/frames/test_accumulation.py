@@ -93,7 +93,8 @@ def test_the_device_and_files(sequence, tmp_path):
     for number in range(8):
         name = f"frame.{number:04d}.exr"
         images = [read_rgb(tmp_path / folder / name) for folder in ("cl", "ref")]
-        np.testing.assert_allclose(*images, rtol=0, atol=2**-20)
+        # Files hold half: the last bit of the transfer back may decide which of two neighbours a value becomes.
+        np.testing.assert_allclose(*images, rtol=2**-10, atol=2**-20)
         assert read_header(tmp_path / "cl" / name).attributes["stss:method"] == "network, accumulate"
 
 

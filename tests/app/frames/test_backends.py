@@ -29,6 +29,7 @@ def test_threads_that_share_a_backend_take_turns(monkeypatch):
     device = SimpleNamespace(kind="CPU", device_class="cpu", name="n", driver="d")
     monkeypatch.setattr("stss.devices.selection.choose", lambda *_, **__: device)
     monkeypatch.setattr("stss_cl.skip.stream.Stream", Stream)
+    monkeypatch.setattr("stss_cl.image_space.output.OutputKernels", lambda _: SimpleNamespace(load=lambda: None))
     backend = OpenCLBackend(zeros(), ComputeOptions(), print)
     with ThreadPoolExecutor(3) as threads:
         threads.submit(backend.expect, "size")
