@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conformance.answers.expected import Expected
-from conformance.answers.port_arithmetic import Arithmetic, reach, sum_error
+from conformance.answers.port_arithmetic import Arithmetic, may_lead, reach, sum_error
 from conformance.tolerance import BOUNDS
 from stss_ref.motion_chain import chain_on, is_any_still, read_motion, squared_lengths, truncated
 from stss_ref.sample import Index, Place
@@ -131,12 +131,7 @@ def _step(earlier: NDArray[Any], x: Index, y: Index, ways: Ways, arithmetic: Ari
 def _cells(pixel: Index, motion: Float64, off: Float64, size: int) -> tuple[Index, Bool]:
     """The cells (3, N) along an axis where motion that is off by up to ``off`` may lead, in order, and where one differs from the last."""
     whole = np.floor(motion)
-    fraction = motion - whole
-    moved = np.stack([fraction - off, fraction, fraction + off])
-    steps = np.where(off > 0, np.floor(moved), 0)
-    steps[1] = 0  # also where the fraction is 1 by rounding
-    # One pixel beyond the frame is as good as any distance.
-    cells = truncated(np.clip(pixel + whole + steps, -2, size).astype(np.intp), moved - steps)
+    cells = truncated(*may_lead(pixel + whole, motion - whole, off, size))
     return cells, np.diff(cells, axis=0, prepend=-3) > 0
 
 

@@ -3,22 +3,21 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
-from itertools import product
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from conformance.answers.expected import Expected
-from conformance.answers.port_arithmetic import Arithmetic, Reach, reach, ways
+from conformance.answers.port_arithmetic import Arithmetic, Reach, may_lead, reach
 from conformance.answers.warp import interpolate
-from stss_ref.occlusion_warp import FARTHEST, splat
-from stss_ref.sample import taps
+from stss_ref.occlusion_warp import FARTHEST, look_up, splat, writing_order
+from stss_ref.sample import Index
 
-Cell = tuple[int, int]
-Key = tuple[float, int]
-NOBODY: Key = (np.inf, -1)
+Size = tuple[int, ...]
+Pairs = tuple[Index, Index]
+NOBODY = -1
+"""The writer of a pixel to which no motion leads."""
 
 
 def expect_occlusion_warp(
@@ -48,67 +47,74 @@ def expect_occlusion_warp(
 
 
 def _maps(at: Reach, motion: NDArray[Any], depth: NDArray[Any]) -> list[NDArray[Any]]:
-    """Motions looked up in the splatted map: the truth first, then further right answers where rounding decides."""
-    if not (at.off_x.any() or at.off_y.any()):
-        cell = taps(at.at)
-        return [splat(motion, depth)[cell.y0, cell.x0]]
-    definite, maybe = _splats(at, depth)
-    answers = _look_up(at, motion, definite, maybe)
-    most = max(len(motions) for motions in answers.values())
-    maps = [np.empty_like(motion) for _ in range(most)]
-    for pixel, motions in answers.items():
-        for i, each in enumerate(maps):
-            each[pixel] = motions[min(i, len(motions) - 1)]
-    return maps
+    """Motions looked up in the splatted map: the truth first, then further right answers where rounding decides.
+
+    Pixels go by their number in raster order, those that write also by their number in the order of writing: the largest wins.
+    """
+    if not at.unsure.any():
+        return [look_up(splat(motion, depth), motion)]
+    size, place = depth.shape, at.at
+    order = writing_order(depth, place.finite & (depth < FARTHEST))
+    rows, _ = may_lead(place.y.ravel(), place.fy.ravel(), at.off_y.ravel(), size[0])
+    columns, _ = may_lead(place.x.ravel(), place.fx.ravel(), at.off_x.ravel(), size[1])
+    right = _winners(rows[1:2, order], columns[1:2, order], size)[_read(rows[1:2], columns[1:2], size)]
+    reader, writer = _right_pairs(rows, columns, at.unsure.ravel(), order, size)
+    is_other = writer != right[reader]
+    reader, writer = reader[is_other], writer[is_other]
+    number = np.arange(len(reader)) - np.searchsorted(reader, reader)
+    answers = [right, *(right.copy() for _ in range(max(number, default=-1) + 1))]
+    for i, answer in enumerate(answers[1:]):
+        answer[reader[number == i]] = writer[number == i]
+    motions = np.concatenate([motion.reshape(-1, 2)[order], np.zeros((1, 2))])  # the last one: nobody's
+    return [motions[answer].reshape(motion.shape) for answer in answers]
 
 
-def _cells(reached: Reach, y: int, x: int) -> tuple[set[int], set[int]]:
-    """The rows and the columns of pixels that the motion of pixel (y, x) may lead to."""
-    at = reached.at
-    columns = ways(int(at.x[y, x]), float(at.fx[y, x]), float(reached.off_x[y, x]))
-    rows = ways(int(at.y[y, x]), float(at.fy[y, x]), float(reached.off_y[y, x]))
-    return {row for row, _ in rows}, {column for column, _ in columns}
+def _right_pairs(rows: Index, columns: Index, unsure: NDArray[np.bool_], order: Index, size: Size) -> Pairs:
+    """Each pixel that reads, (K,) in order, and a pixel whose motion it may read, by its number in the order of writing.
+
+    Args:
+        rows, columns: (3, N) where the motion of each pixel may lead, its own place in the middle.
+        unsure: (N,) where that is more than one place.
+        order: (M,) the pixels that write.
+        size: (H, W).
+    """
+    sure = _winners(rows[:, order], columns[:, order], size)
+    writer = np.flatnonzero(unsure[order])
+    y, x = (np.concatenate([each, each + 1])[:, order[writer]] for each in (rows, columns))
+    written, writer = _written(y, x, writer, size)
+    may_win = writer > sure[written]
+    written, writer = written[may_win], writer[may_win]
+    by_pixel = np.argsort(written)
+    written, writer = written[by_pixel], writer[by_pixel]
+
+    own, other = _read(rows[1:2], columns[1:2], size), _read(rows[:, unsure], columns[:, unsure], size)
+    reader = np.concatenate([np.arange(len(own)), np.tile(np.flatnonzero(unsure), len(rows) * len(columns))])
+    read = np.concatenate([own, other])
+    first = np.searchsorted(written, read)
+    count = np.searchsorted(written, read, "right") - first
+    which = np.arange(count.sum()) + np.repeat(first - np.cumsum(count) + count, count)
+    readers, writers = np.concatenate([reader, np.repeat(reader, count)]), np.concatenate([sure[read], writer[which]])
+    reader, writer = np.divmod(np.unique(readers * (len(order) + 1) + writers - NOBODY), len(order) + 1)
+    return reader, writer + NOBODY
 
 
-def _splats(at: Reach, depth: NDArray[Any]) -> tuple[dict[Cell, Key], dict[Cell, list[Key]]]:
-    """For each pixel of the earlier frame: the nearest pixel that certainly writes there, and all pixels that may write there."""
-    height, width = depth.shape
-    definite: dict[Cell, Key] = defaultdict(lambda: NOBODY)
-    maybe: dict[Cell, list[Key]] = defaultdict(list)
-    for index, (y, x) in enumerate(np.ndindex(height, width)):
-        if not at.at.finite[y, x] or not depth[y, x] < FARTHEST:
-            continue
-        rows, columns = _cells(at, y, x)
-        key = (float(depth[y, x]), index)
-        cells = [{(r + j, c + i) for j in (0, 1) for i in (0, 1)} for r, c in product(rows, columns)]
-        for cell in set[Cell].union(*cells):
-            if not (0 <= cell[0] < height and 0 <= cell[1] < width):
-                continue
-            if all(cell in way for way in cells):
-                definite[cell] = min(definite[cell], key, key=_order)
-            else:
-                maybe[cell].append(key)
-    return definite, maybe
+def _winners(rows: Index, columns: Index, size: Size) -> Index:
+    """(H W,) the last of those that write to each pixel whichever way they go; of (ways, M) in the order of writing."""
+    # The pixels of all ways begin at the last way's first and end at the first way's second.
+    rows, columns = (np.stack([each.max(axis=0), each.min(axis=0) + 1]) for each in (rows, columns))
+    always = (rows[0] <= rows[1]) & (columns[0] <= columns[1])
+    written, writer = _written(rows[:, always], columns[:, always], np.flatnonzero(always), size)
+    winners = np.full(size, NOBODY).ravel()
+    np.maximum.at(winners, written, writer)
+    return winners
 
 
-def _order(key: Key) -> Key:
-    """Sort key: the nearest first, with 0 and -0 as the same depth."""
-    return key[0] + 0.0, key[1] if key[1] >= 0 else 2**62
+def _written(rows: Index, columns: Index, writer: Index, size: Size) -> Pairs:
+    """The pixels in all of the rows and columns, each (n, M), as far as they lie in the frame, each with its ``writer`` (M,)."""
+    lands = ((rows >= 0) & (rows < size[0]))[:, None] & (columns >= 0) & (columns < size[1])
+    return (rows[:, None] * size[1] + columns)[lands], np.broadcast_to(writer, lands.shape)[lands]
 
 
-def _look_up(
-    at: Reach, motion: NDArray[Any], definite: dict[Cell, Key], maybe: dict[Cell, list[Key]]
-) -> dict[Cell, list[NDArray[np.float64]]]:
-    height, width, _ = motion.shape
-    flat = np.concatenate([motion.reshape(-1, 2), np.zeros((1, 2))])  # the last row: no pixel wrote
-    answers: dict[Cell, list[NDArray[np.float64]]] = {}
-    for y, x in np.ndindex(height, width):
-        rows, columns = _cells(at, y, x)
-        sources: dict[int, None] = {}
-        for r, c in product(sorted(rows), sorted(columns)):
-            cell = min(max(r, 0), height - 1), min(max(c, 0), width - 1)
-            best = definite[cell]
-            for key in (best, *(k for k in maybe.get(cell, ()) if _order(k) < _order(best))):
-                sources[key[1]] = None
-        answers[y, x] = [flat[index] for index in sources]
-    return answers
+def _read(rows: Index, columns: Index, size: Size) -> Index:
+    """The pixels in all of the rows and columns, each (n, N), clamped into the frame, row by row: (n n N,)."""
+    return (np.clip(rows, 0, size[0] - 1)[:, None] * size[1] + np.clip(columns, 0, size[1] - 1)).ravel()

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 
 from conformance.tolerance import BOUNDS, UNIT
 from stss_ref.arrays import Plane
-from stss_ref.sample import Place, follow
+from stss_ref.sample import Index, Place, follow
 
 LIMITS = {
     **{
@@ -131,12 +130,19 @@ def sum_error(total: NDArray[Any], off: Float64 | float, arithmetic: Arithmetic)
     return np.where(exact, 0, BOUNDS["sum"].roundings * arithmetic.unit * np.abs(total))
 
 
-def ways(whole: int, fraction: float, off: float) -> list[tuple[int, float]]:
-    """The places, each a whole pixel and a fraction, where a motion with an error of up to ``off`` may lead along an axis."""
-    pairs = [(whole, fraction)]
-    for moved in (fraction - off, fraction + off) if off > 0 else ():
-        pairs.append((whole + math.floor(moved), moved - math.floor(moved)))
-    return pairs
+def may_lead(whole: NDArray[Any], fraction: NDArray[Any], off: Float64, size: int) -> tuple[Index, Float64]:
+    """The places, each a whole pixel and a fraction, where motion that is off by up to ``off`` may lead along an axis of ``size`` pixels.
+
+    Args:
+        whole, fraction, off: (N,) each.
+
+    Returns:
+        (3, N) each, in order, the place itself in the middle; one pixel beyond the frame is as good as any distance.
+    """
+    moved = np.stack([fraction - off, fraction, fraction + off])
+    steps = np.where(off > 0, np.floor(moved), 0)
+    steps[1] = 0  # also where the fraction is 1 by rounding
+    return np.clip(whole + steps, -2, size).astype(np.intp), moved - steps
 
 
 def _near_whole(fraction: Plane, off: Float64) -> Bool:
