@@ -111,7 +111,8 @@ def require_dtype(name: str, array: Shaped, dtype: np.dtype[Any]) -> None:
 
 def require_finite(name: str, array: Array) -> None:
     """Raise ArrayError if ``array`` holds NaN or an infinity; the message has their number and the index of the first."""
-    bad = ~np.isfinite(array)
-    if bad.any():
+    finite = np.isfinite(array)
+    if not finite.all():
+        bad = ~finite
         first = tuple(int(i) for i in np.argwhere(bad)[0])
         raise ArrayError(f"{name}: {int(bad.sum())} non-finite values, first at index {first}")

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from stss_ref.arrays import Image, Mask, Plane
 
 
@@ -17,5 +19,6 @@ def static_holes(stencil: Plane, normal: Image, valid: Mask) -> float | None:
     Returns:
         From 0 to 1; None where nothing static is seen.
     """
-    static = (stencil == 0) & (normal != 0).any(axis=-1)
+    x, y, z = np.moveaxis(normal, -1, 0)  # any() along an axis of three takes five times as long
+    static = (stencil == 0) & ((x != 0) | (y != 0) | (z != 0))
     return float((static & ~valid).sum() / static.sum()) if static.any() else None
