@@ -29,6 +29,8 @@ from stss_ref.schedule import FrameKind, schedule
 
 HOLES = "holes"
 """Subfolder of the run's folder: the warping holes."""
+SETTINGS = ("spec", "method", "weights", "transfer", "highlights", "depth", "profile", "background")
+"""Of a frame's metadata: what all frames of one run have in common."""
 STATIC_HOLES = "stss:static-holes"
 """Metadata of an EF: `stss.frames.static_holes.static_holes`."""
 Outcome = Literal["done", "kept", "left out"]
@@ -249,6 +251,49 @@ def already_written(folder: OutputFolder, options: RunOptions, number: int, key:
     if attributes.get("stss:key") != key:
         return None
     return kind if kind is FrameKind.SF or folder.holds(frame_name(number, "png", HOLES)) else None
+
+
+def settings_of(metadata: Mapping[str, Value], suffix: str) -> dict[str, str]:
+    """What all frames of one run have in common, by the metadata of a frame and its file's suffix, without a dot."""
+    return {name: str(metadata.get(f"stss:{name}", "none")) for name in SETTINGS} | {"format": suffix}
+
+
+def keep_outside(folder: OutputFolder, options: RunOptions, metadata: Mapping[str, Value]) -> None:
+    """Let ``--overwrite`` of some frames leave those of an earlier run that lie outside of them.
+
+    Args:
+        folder: the run's, open.
+        options: the user's choices.
+        metadata: of the frames to write, see `describe`; what is empty is not compared.
+
+    Raises:
+        InputError: one has other settings: the film would change its look within a shot.
+    """
+    if options.frames is None or not options.overwrite:
+        return
+    first, last = options.frames
+    wanted = settings_of(metadata, options.format)
+    for name in folder.sums():
+        path = folder.path / name
+        if first <= number_of(name) <= last or not path.is_file():
+            continue
+        folder.keep(name)
+        if path.parent != folder.path:  # the holes of a frame
+            continue
+        try:
+            found = settings_of(read_header(path).attributes, path.suffix[1:])
+        except InputError:  # somebody else's, which the folder tells
+            continue
+        if other := [f"{key} {found[key]}, not {value}" for key, value in wanted.items() if value not in ("", found[key])]:
+            raise InputError(
+                f"{path}: {other[0]}: --overwrite --frames {first}:{last} would mix two runs; expected the settings of the earlier one, "
+                "another folder, or --overwrite without --frames, which replaces all"
+            )
+
+
+def number_of(name: str) -> int:
+    """The display frame of a file below the run's folder; see `frame_name`."""
+    return int(name.split(".")[-2])
 
 
 def frame_name(number: int, suffix: str, subfolder: str = "") -> str:

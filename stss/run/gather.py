@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from stss.images.headers import read_header
+from stss.run.frame_job import settings_of
 from stss.run.job import folder_of
 from stss_ground.errors import InputError
 from stss_ground.output.folder import MOST_BYTES, SUMS, OutputFolder, digest_of
@@ -30,8 +31,6 @@ _FRAME = re.compile(r"frame\.(-?\d+)\.\w+")
 
 LISTED = 8
 """Most frames that are listed as missing."""
-SETTINGS = ("spec", "method", "weights", "transfer", "highlights", "depth", "profile", "background")
-"""Of a frame's metadata: what all frames of one run have in common."""
 MADE_BY = ("backend", "version")
 """What may differ, with the last bits of the pictures."""
 
@@ -200,7 +199,7 @@ def _require_alike(folders: Sequence[Path], target: OutputFolder | None) -> tupl
             attributes = read_header(path).attributes
         except InputError:  # as its list says, whatever it is
             attributes = {}
-        settings = {name: str(attributes.get(f"stss:{name}", "none")) for name in SETTINGS} | {"format": path.suffix[1:]}
+        settings = settings_of(attributes, path.suffix[1:])
         first = first or (path, settings)
         for name, value in settings.items():
             if value != first[1][name]:

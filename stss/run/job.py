@@ -16,7 +16,7 @@ from pathlib import Path
 
 from stss.frames.backends import Backend
 from stss.frames.output import choose_rendered
-from stss.run.frame_job import HOLES, FrameJob, FrameReport, Outcome, already_written
+from stss.run.frame_job import HOLES, FrameJob, FrameReport, Outcome, already_written, keep_outside
 from stss.run.options import RunOptions
 from stss.sequence.reader import Sequence
 from stss_ground.errors import InputError
@@ -88,6 +88,7 @@ def run(
     summary = Summary([])
 
     with folder.open(refusal=None if options.resume or options.overwrite else REFUSAL):
+        keep_outside(folder, options, job.metadata)
         if backend.window is None:
             for number in range(sequence.numbers[0], run_plan.numbers[0]):
                 job.compute(job.read(number))

@@ -244,11 +244,27 @@ def test_overwrite_removes_nothing_before_the_new_frames_are_there(out, demo, tm
     assert {name for name in before if before[name] != after[name]} == {"frame.0000.exr", "frame.0001.exr", SUMS}
 
 
-def test_overwrite_removes_what_is_left_of_the_earlier_run_at_its_end(finished_run, out, demo):
+def test_overwrite_removes_what_is_left_of_the_earlier_run_at_its_end(finished_run, out, demo, tmp_path):
     (out / "notes.txt").write_text("mine")
-    assert call("run", demo / "frames", "-o", out, "--overwrite", "--frames", "2:2", *PLAIN).returncode == 0
-    assert sorted(contents(out)) == ["frame.0002.exr", "notes.txt", SUMS]
-    assert contents(out)["frame.0002.exr"] == contents(finished_run)["frame.0002.exr"]
+    frames = shutil.copytree(demo / "frames", tmp_path / "frames")
+    for path in sorted(frames.iterdir())[2:]:
+        path.unlink()
+    assert call("run", frames, "-o", out, "--overwrite", *PLAIN).returncode == 0
+    assert sorted(contents(out)) == ["frame.0000.exr", "frame.0001.exr", "holes/frame.0001.png", "notes.txt", SUMS]
+    assert contents(out)["frame.0001.exr"] == contents(finished_run)["frame.0001.exr"]
+
+
+def test_overwrite_of_some_frames_leaves_the_others(finished_run, out, demo):
+    """Those outside of the range: they are of the same run, or the command is refused before it writes."""
+    name = "frame.0002.exr"
+    (out / name).unlink()
+    before = contents(out)
+    words = ("run", demo / "frames", "-o", out, "--overwrite", "--frames", "2:2", *PLAIN)
+    refused(call(*words, "--depth", "clip"), "frame.0000.exr: depth scale, not clip: --overwrite --frames 2:2 would mix two runs")
+    refused(call(*words, "--format", "png"), "frame.0000.exr: format exr, not png")
+    assert contents(out) == before
+    assert call(*words).returncode == 0
+    assert contents(out) == contents(finished_run)
 
 
 DAMAGE = {
@@ -270,13 +286,15 @@ def test_resume_keeps_only_what_is_as_it_was_written(finished_run, out, demo, na
 
 
 @pytest.mark.parametrize("option", ["--overwrite", "--resume"])
-def test_a_file_of_others_under_a_listed_name_is_moved_aside(finished_run, out, demo, option):
+def test_a_file_of_others_under_a_listed_name_is_moved_aside(finished_run, out, demo, tmp_path, option):
     """Its checksum says that it is not what the run wrote; with --overwrite one of them would be replaced and one removed."""
     for name in ("frame.0002.exr", "frame.0003.exr"):
         (out / name).write_bytes(b"mine")
     (out / "frame.0003.exr.1.aside").write_bytes(b"mine of old")
-    where = ("--frames", "2:2") if option == "--overwrite" else ()
-    result = call("run", demo / "frames", "-o", out, option, *where, *PLAIN)
+    frames = shutil.copytree(demo / "frames", tmp_path / "frames")
+    if option == "--overwrite":
+        (frames / "demo.0003.exr").unlink()
+    result = call("run", frames, "-o", out, option, *PLAIN)
     assert result.returncode == 0
     assert (
         "frame.0002.exr: not as stss.sha256 says, so another program wrote it: moved to frame.0002.exr.1.aside" in result.stderr
