@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """An engine's loop, whole: its planes for each display frame, and its picture.
 
-``python engine_loop.py shown`` writes sixty PNG of 320 x 192.
+``python engine_loop.py shown`` writes 59 PNG of 320 x 192: frame 40, which was dropped, has none.
 
 An analytic scene stands in for the renderer, with the buffers of an engine: reversed infinite depth, motion in UV, metres, HDR, a
 camera jittered by half pixels. Objects move, a spark is drawn that no G-buffer knows, the camera cuts, and a frame is dropped.

@@ -7,6 +7,7 @@ two; half of a name that is not UTF-8 cannot be encoded at all. Each is shown as
 
 from __future__ import annotations
 
+import logging
 import os
 import sys
 from io import TextIOWrapper
@@ -33,6 +34,11 @@ def echo(line: str, *, err: bool = False) -> None:
     stream = sys.stderr if err else sys.stdout  # click.echo would take ASCII for a mistake, and write UTF-8
     stream.write(printable(line) + "\n")
     stream.flush()
+
+
+def log(line: str) -> None:
+    """Give a line made `printable` to the logger ``stss`` as a warning: without a handler of the program's it goes to standard error."""
+    logging.getLogger("stss").warning("%s", printable(line))
 
 
 class Terminal(Console):

@@ -18,6 +18,7 @@ from stss_cl.cost import Cost
 from stss_cl.liveness import has_residual
 from stss_ground.arguments import require_choice, require_kind
 from stss_ground.errors import InputError
+from stss_ground.terminal import log
 from stss_ref.arrays import Array, Image, Mask, require_finite
 from stss_ref.constants import Gather
 from stss_ref.frame import FrameInputs, frame, prepare
@@ -156,7 +157,7 @@ def open_backend(
     weights: str | Weights | LoadedWeights,
     options: ComputeOptions = DEFAULTS,
     *,
-    tell: Callable[[str], None] = lambda line: None,
+    tell: Callable[[str], None] = log,
 ) -> Backend:
     """Open a backend by its name.
 
@@ -164,7 +165,7 @@ def open_backend(
         name: one of ``BACKENDS``.
         weights: loaded weights, or an argument of `stss.weights.file.load`.
         options: device, precision, memory limit, skipping and accumulation.
-        tell: called with lines for the user, for example when a self-test runs.
+        tell: called with lines for the user, for example when a self-test runs; by default the logger ``stss`` gets them as warnings.
 
     Raises:
         InputError: there is no such backend, or it does not take these options.

@@ -45,6 +45,11 @@ class Buffers:
     cut: bool = False
     carried: Mapping[str, Array] = field(default_factory=dict[str, Array])
 
+    def __repr__(self) -> str:
+        """One line, without the numbers of the arrays."""
+        of = ["" if self.color is None else ", rendered", ", cut" if self.cut else "", *(f", {name}" for name in self.carried)]
+        return f"Buffers({self.number}, {self.size}{''.join(of)})"
+
     @property
     def size(self) -> tuple[int, int]:
         """(H, W)."""

@@ -35,6 +35,10 @@ class Output:
     valid: Mask
     carried: Mapping[str, Image] = field(default_factory=dict[str, Image])
 
+    def __repr__(self) -> str:
+        """One line, without the numbers of the arrays."""
+        return f"Output({self.number}, {self.kind.value}, {self.image.shape[:2]}{''.join(f', {name}' for name in self.carried)})"
+
 
 def compute(window: Sequence[DisplayFrame], backend: Backend, curve: Transfer) -> Output | None:
     """Compute the newest frame of ``window``; None for an EF with no rendered frame just before it.

@@ -21,6 +21,7 @@ from stss.images.headers import MAX_SIDE
 from stss.weights.file import REALTIME, LoadedWeights
 from stss_ground.arguments import require_choice, require_kind
 from stss_ground.errors import InputError
+from stss_ground.terminal import log
 from stss_ref.depth import DepthMode
 from stss_ref.weights import Weights
 
@@ -45,7 +46,7 @@ class Supersampler:
         depth: DepthMode = "scale",
         copy: bool = True,
         check: bool = True,
-        tell: Callable[[str], None] = lambda line: None,
+        tell: Callable[[str], None] = log,
     ):
         """Open the backend.
 
@@ -63,7 +64,8 @@ class Supersampler:
             depth: ``scale`` or ``clip`` (spec 0).
             copy: False: motion, NoV, stencil and position are not copied; the caller must not write to them for six frames.
             check: False: planes are not checked before use.
-            tell: called with lines for the user, for example when a device is tested.
+            tell: called with lines for the user, for example when a device is tested, which takes half a minute or more; by default the
+                logger ``stss`` gets them as warnings.
 
         Raises:
             InputError: an option has another value, or weights cannot be read.

@@ -269,6 +269,7 @@ CELLS = {
     "Supersampler(accumulate=True)": mixed,
     "Supersampler(accumulate=False)": unmixed,
     "memory_limit=": lambda: loop(memory_limit=1 << 30).push(buffers(0)) is not None,
+    "tell=": None,  # tests/app/frames/test_backends.py
     'transfer="none"': highlights_change_nothing_else,
     "copy=False": lambda: loop(copy=False).push(buffers(0)) is not None,
     ".load(number)": without_color,

@@ -1,12 +1,31 @@
-"""Backends: threads that share one take turns."""
+"""Backends: threads that share one take turns, and a slow start is told."""
 
 import time
 from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 
+import pytest
+
+import stss
 from stss.frames.backends import OpenCLBackend
 from stss.frames.compute_options import ComputeOptions
+from stss_ground.errors import DeviceError
 from stss_ref.weights import zeros
+
+
+def test_a_first_start_is_told(monkeypatch, caplog):
+    """A program that names no ``tell`` finds it on standard error, where Python's logging writes warnings."""
+
+    def choose(_, tell, **__):
+        tell("first start: \x1b[1m")
+        raise DeviceError("none")
+
+    monkeypatch.setattr("stss.devices.selection.choose", choose)
+    with pytest.raises(DeviceError, match="none"):
+        stss.Supersampler("realtime")
+    assert [(record.name, record.levelname, record.getMessage()) for record in caplog.records] == [
+        ("stss", "WARNING", r"first start: \x1b[1m")
+    ]
 
 
 def test_threads_that_share_a_backend_take_turns(monkeypatch):

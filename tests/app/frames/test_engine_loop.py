@@ -181,6 +181,13 @@ def test_other_planes_are_carried():
         assert difference.max() <= 2**-21, output.kind  # roundings of two bilinear means
 
 
+def test_a_frame_is_shown_in_one_line():
+    """In a debugger, a log or an assertion; not its millions of numbers."""
+    of = next(frames(1))
+    assert repr(replace(of, carried={"alpha": of.depth}, cut=True)) == f"Buffers(0, {SIZE}, rendered, cut, alpha)"
+    assert repr(engine().push(of)) == f"Output(0, SF, {SIZE[0] * 2, SIZE[1] * 2})"
+
+
 def test_supersample_is_the_loop_over_an_open_backend():
     backend = stss.open_backend("ref", "bilinear")
     outputs, looped = (

@@ -177,6 +177,19 @@ def test_an_error_of_the_writer_stops_the_run(sequence, tmp_path):
 ORDER = tuple(map(float, range(16)))
 
 
+def test_wrong_motion_is_seen_by_its_holes(write_frames, tmp_path):
+    """More than two fifths of the static surfaces: whoever did not check the frames is told to."""
+    for name, shift, advised in (("right", 0, False), ("wrong", 9, True)):
+        lr = write_frames(
+            range(4),
+            change=lambda number, of, by=shift: of | {"motion.X": of["motion.X"] + by, "stencil.X": 0 * of["stencil.X"]},
+            folder=name,
+        )
+        result = call("run", lr, "-o", tmp_path / f"{name}-out", *PLAIN)
+        assert result.returncode == 0, result.stderr
+        assert ("so many that motion or positions may be wrong: see stss check" in result.stderr) == advised, result.stderr
+
+
 def test_alpha_highlights_layers_and_metadata_come_out(write_frames, tmp_path):
     """A sequence with alpha, highlights of 10 and a light pass, a cut, and a compositor's metadata."""
 
