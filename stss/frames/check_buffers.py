@@ -123,7 +123,8 @@ def _check(where: str, array: Array, shape: tuple[int, ...], plane: _Plane) -> N
     if plane.least is not None:
         bad = array <= 0 if plane.otherwise == "inf" else array < plane.least - slack
         if bad.any():
-            raise _error(where, f"values {'>' if plane.otherwise == 'inf' else '>='} {plane.least:g}", array, bad, plane)
+            expected = f"values {'>' if plane.otherwise == 'inf' else '>='} {plane.least:g}"
+            raise _error(where, expected, array, bad, plane if plane.most != 1 else plane._replace(hint=""))
     if plane.most is not None and (bad := array > plane.most + slack).any():
         raise _error(where, f"values <= {plane.most:g}", array, bad, plane)
 

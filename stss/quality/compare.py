@@ -8,6 +8,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from rich import box
@@ -24,6 +25,7 @@ from stss.sequence.raw_frame import NonFinite
 from stss.sequence.reader import Sequence as Input
 from stss_ground.errors import InputError
 from stss_ground.progress import Track
+from stss_ref.arrays import Image
 
 METRICS = {
     "psnr_luma": ("PSNR\nluma", 2, REGIONS),
@@ -129,6 +131,20 @@ class Comparison:
         }
 
 
+class Errors(NamedTuple):
+    """Mean squared differences at a step of one frame: of the output from its own truth, and across the step.
+
+    Attributes:
+        own: of the output from its truth.
+        before: of the output from the truth of the frame before.
+        after: of the frame before from the truth of this one.
+    """
+
+    own: float
+    before: float
+    after: float
+
+
 def compare(
     out: Path,
     truth: Path,
@@ -164,7 +180,8 @@ def compare(
     perceptual.require_packages()
     pairs, without_truth, without_output = find_pairs(out, truth, frames, non_finite, holes)
     notes = _notes(out, pairs, holes)
-    rows = _rows(pairs, track(list(pairs)), sequence, flip=perceptual.flip)
+    rows, neighbours = _rows(pairs, track(list(pairs)), sequence, flip=perceptual.flip)
+    notes += _notes_on_numbers(neighbours)
     if perceptual.vmaf:
         scores = vmaf_scores(map(to_8bit, pair.load()) for pair in pairs.values())
         rows = [_with(row, vmaf=value) for row, value in zip(rows, scores, strict=True)]
@@ -230,9 +247,12 @@ def facts(comparison: Comparison) -> list[str]:
     return lines
 
 
-def _rows(pairs: Mapping[int, Pair], numbers: Iterable[int], sequence: Input | None, *, flip: bool) -> list[FrameScores]:
-    """The frames' rows, with the step from the previous frame where there is one."""
+def _rows(
+    pairs: Mapping[int, Pair], numbers: Iterable[int], sequence: Input | None, *, flip: bool
+) -> tuple[list[FrameScores], list[Errors]]:
+    """The frames' rows, with the step from the previous frame where there is one, and the errors of each such step."""
     rows: list[FrameScores] = []
+    neighbours: list[Errors] = []
     before: OutputAndTruth | None = None
     follower = None if sequence is None else Follower(sequence)
     for number in numbers:
@@ -244,9 +264,25 @@ def _rows(pairs: Mapping[int, Pair], numbers: Iterable[int], sequence: Input | N
         if before is not None and rows[-1].number == number - 1:
             flicker = None if follower is None else follower.flicker(number, images, before)
             row = _with(row, tpsnr=temporal_psnr(images, before), flicker=flicker)
+            neighbours.append(Errors(_error(*images), _error(images[0], before[1]), _error(before[0], images[1])))
         rows.append(row)
         before = images
-    return rows
+    return rows, neighbours
+
+
+def _error(image: Image, truth: Image) -> float:
+    """Mean squared difference, of one pixel in sixteen."""
+    return float(np.mean((image[::4, ::4] - truth[::4, ::4]) ** 2))
+
+
+def _notes_on_numbers(neighbours: Sequence[Errors]) -> list[str]:
+    """Whether outputs are nearer to the truth of the frame before or after than to their own."""
+    own, before, after = (sum(of) for of in zip(*neighbours, strict=True)) if neighbours else (0.0, 0.0, 0.0)
+    return [
+        f"outputs are twice as near to the truth of the frame {word}: is one of the two folders numbered from another frame?"
+        for word, error in (("before", before), ("after", after))
+        if 2 * error < own
+    ]
 
 
 def _judge(number: int, pair: Pair, images: OutputAndTruth, *, flip: bool) -> FrameScores:

@@ -97,6 +97,16 @@ def test_tpsnr_is_of_the_change(out, truth):
     assert comparison.rows[1].scores["edges"].tpsnr is None
 
 
+@pytest.mark.parametrize(("shift", "word"), [(1, "after"), (-1, "before"), (0, None)])
+def test_numbers_that_are_one_off_are_told(out, truth, shift, word):
+    """The scores alone would say that the method is bad."""
+    for number in range(4):
+        write_rgb(truth / f"frame.{number:04d}.png", flat(100 + 10 * number))
+        write_rgb(out / f"frame.{number:04d}.png", flat(102 + 10 * (number + shift)), metadata=labels("SF"))
+    told = [note for note in compare(out, truth).notes if "twice as near to the truth of the frame" in note]
+    assert [f"the frame {word}" in note for note in told] == ([] if word is None else [True])
+
+
 def test_the_holes_of_static_surfaces_are_a_mean(out, truth):
     for number, share in ((1, "0.1"), (2, None), (3, "0.5")):
         write_pair(out, truth, number, "EF", 0)
