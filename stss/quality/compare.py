@@ -138,11 +138,13 @@ class Errors(NamedTuple):
         own: of the output from its truth.
         before: of the output from the truth of the frame before.
         after: of the frame before from the truth of this one.
+        change: of the two truths.
     """
 
     own: float
     before: float
     after: float
+    change: float
 
 
 def compare(
@@ -264,7 +266,10 @@ def _rows(
         if before is not None and rows[-1].number == number - 1:
             flicker = None if follower is None else follower.flicker(number, images, before)
             row = _with(row, tpsnr=temporal_psnr(images, before), flicker=flicker)
-            neighbours.append(Errors(_error(*images), _error(images[0], before[1]), _error(before[0], images[1])))
+            image, truth = images
+            neighbours.append(
+                Errors(_error(image, truth), _error(image, before[1]), _error(before[0], truth), _error(truth, before[1]))
+            )
         rows.append(row)
         before = images
     return rows, neighbours
@@ -277,11 +282,11 @@ def _error(image: Image, truth: Image) -> float:
 
 def _notes_on_numbers(neighbours: Sequence[Errors]) -> list[str]:
     """Whether outputs are nearer to the truth of the frame before or after than to their own."""
-    own, before, after = (sum(of) for of in zip(*neighbours, strict=True)) if neighbours else (0.0, 0.0, 0.0)
+    own, before, after, change = (sum(each) for each in zip(*neighbours, strict=True)) if neighbours else (0.0,) * 4
     return [
         f"outputs are twice as near to the truth of the frame {word}: is one of the two folders numbered from another frame?"
         for word, error in (("before", before), ("after", after))
-        if 2 * error < own
+        if 2 * error < own < 2 * change  # a wrong number costs as much as the truth changes; where nothing moves it costs nothing
     ]
 
 
