@@ -13,8 +13,10 @@ from tests.tiers import thorough
 QUICK = tuple(precision for precision in PRECISIONS if precision != "bfloat16")
 """Precisions that no device must emulate: frames of bfloat16 run only in tests that need them."""
 OFTEN = [precision if precision == "float32" else thorough(precision) for precision in PRECISIONS]
-"""Parameters: a network in half takes a processor a minute to compile. test_conv_gpu.py has its kernels, test_network.py direct ones
-and a network in bfloat16 that is not optimised."""
+"""Parameters: a network in half takes a processor a minute to compile. test_conv_gpu.py has its kernels, test_network.py direct ones,
+test_amx.py those of bfloat16."""
+ALL_LAYERS = pytest.mark.parametrize("device", ["cpu", thorough("gpu")], indirect=True)
+"""For tests of frames that need more than the layers of `films.weights_for`; test_layers.py has all layers of GPUs on every commit."""
 UNOPTIMISED = "-cl-opt-disable"
 UNITS = 1024
 """Compute units of a processor that is treated as a GPU: more than a test's frame has tiles, as on a GPU. Layers with few tiles for

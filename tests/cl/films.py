@@ -17,10 +17,20 @@ UNREAD = WEIGHTS | {n: w * 0 for n, w in WEIGHTS.items() if n.startswith("lowlev
 """The same weights, without reading the history."""
 DETAILED = Weights(UNREAD, "detail", hole_fill="reshade")
 """The same again, with detail as the second colour, and with reshaded holes."""
+FROM_BELOW = "up2.conv.double_conv.0.weight"
+SHIPPED = Weights(
+    WEIGHTS | {FROM_BELOW: WEIGHTS[FROM_BELOW] * (np.arange(56) < 24)[:, None, None]}, "detail", hole_fill="reshade"
+)
+"""Random numbers in the layers that the shipped weights have: two levels of four, neither history nor ERM."""
 CHANGES = ("nothing", "nothing", "pixel", "color", "rectangle", "moving", "everything")
 SIZE = 24, 40
 MIXED = (*5 * ["nothing"], "nothing", "pixel", "moving", "nothing", "rectangle")
 """Changes of a film of which some frames are computed whole, some in part, and some not at all."""
+
+
+def weights_for(device):
+    """All layers on a processor. On a GPU those of the shipped weights: each of the others' kernels takes a second to compile."""
+    return WEIGHTS if device.is_cpu else SHIPPED
 
 
 def network_inputs(size, seed=0, share=0.7):

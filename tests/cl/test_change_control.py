@@ -10,7 +10,7 @@ import pytest
 from conformance.scenes import SCENES
 from stss.sequence.scenes import display_frames
 from stss_cl.skip.stream import Stream
-from tests.cl.films import UNREAD, WEIGHTS, assert_same, calls_of, film
+from tests.cl.films import SHIPPED, UNREAD, WEIGHTS, assert_same, calls_of, film
 
 STOPS = film(8 * ("everything",) + 60 * ("nothing",) + 20 * ("rectangle",) + 30 * ("everything",), seed=3)
 
@@ -29,7 +29,7 @@ def decisions_of(stream, frames, plain=None):
 def test_where_something_changes(gpu):
     """What changed is computed. After eight frames that changed everywhere the stream does not look until the 48th; then all that moved
     is computed."""
-    assert decisions_of(Stream(WEIGHTS, gpu), STOPS) == 55 * "w" + 5 * "c" + 9 * "n" + 20 * "c" + 30 * "w"
+    assert decisions_of(Stream(SHIPPED, gpu), STOPS) == 55 * "w" + 5 * "c" + 9 * "n" + 20 * "c" + 30 * "w"
 
 
 @pytest.mark.parametrize(

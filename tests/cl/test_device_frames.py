@@ -10,7 +10,7 @@ import pytest
 from stss.frames.display_frame import plan
 from stss_cl.skip.stream import Stream
 from stss_ref.arrays import ArrayError
-from tests.cl.films import SIZE, WEIGHTS, assert_same, calls_of, film, on
+from tests.cl.films import SIZE, assert_same, calls_of, film, on, weights_for
 
 
 @pytest.mark.parametrize("there", [False, True])
@@ -18,9 +18,9 @@ def test_frames_may_lie_here_and_there(device, there):
     frames = film(["moving"] * 6)
     theirs = [on(device, frame) for frame in frames]
     mixed = [replace(frame, gbuffer=other.gbuffer, color=other.color) for frame, other in zip(frames, theirs, strict=True)]
-    image, valid = Stream(WEIGHTS, device)(*calls_of(frames)[6])
+    image, valid = Stream(weights_for(device), device)(*calls_of(frames)[6])
     out = cla.empty(device.queue, image.shape, np.float32) if there else np.empty_like(image)
-    result, mask = Stream(WEIGHTS, device)(*calls_of(mixed)[6], out)
+    result, mask = Stream(weights_for(device), device)(*calls_of(mixed)[6], out)
     assert result is out
     assert_same((out.get(), mask.get().astype(bool)) if there else (out, mask), (image, valid))
 
@@ -42,7 +42,7 @@ def test_errors_name_the_plane(device, name):
     frames = film(["nothing"] * 5)
     frames[-1] = replace(frames[-1], stencil=wrong(device, name))
     with pytest.raises(ArrayError, match="stencil: expected") as error:
-        Stream(WEIGHTS, device)(*calls_of(frames)[-1])
+        Stream(weights_for(device), device)(*calls_of(frames)[-1])
     assert "\n" not in str(error.value)
 
 
@@ -51,7 +51,7 @@ def test_what_is_not_finite_is_named_and_leaves_nothing(device, skip, there):
     frames = film(["moving"] * 8)
     broken = replace(frames[7], nov=frames[7].nov.copy())
     broken.nov[3, 4] = np.nan
-    stream, fresh = Stream(WEIGHTS, device, skip=skip), Stream(WEIGHTS, device, skip="off")
+    stream, fresh = Stream(weights_for(device), device, skip=skip), Stream(weights_for(device), device, skip="off")
     stream.control.frames_unlooked = 100  # nobody waits for what is found on arrival
     planes = [on(device, frame) for frame in (*frames, broken)] if there else [*frames, broken]
     stream(planes[:7][-6:], plan(frames[1:7]).steps)
@@ -68,7 +68,7 @@ def test_what_is_not_finite_is_named_in_any_frame_of_a_first_window(device, whic
     frames = film(["moving"] * 5)
     broken = replace(frames[which], gbuffer=frames[which].gbuffer.copy())
     broken.gbuffer[3, 4, 5] = np.nan
-    stream, steps = Stream(WEIGHTS, device), plan(frames).steps
+    stream, steps = Stream(weights_for(device), device), plan(frames).steps
     with pytest.raises(ArrayError, match="gbuffer: 1 non-finite"):
         stream([*frames[:which], broken, *frames[which + 1 :]], steps)
-    np.testing.assert_array_equal(stream(frames, steps)[0], Stream(WEIGHTS, device, skip="off")(frames, steps)[0])
+    np.testing.assert_array_equal(stream(frames, steps)[0], Stream(weights_for(device), device, skip="off")(frames, steps)[0])

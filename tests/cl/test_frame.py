@@ -16,28 +16,32 @@ from stss_cl.liveness import colors_read, find_live
 from stss_ref.arrays import ArrayError
 from stss_ref.frame import frame
 from stss_ref.weights import Weights, zeros
-from tests.cl.films import DETAILED, UNREAD, WEIGHTS, frame_inputs, uneven
+from tests.cl.conftest import ALL_LAYERS
+from tests.cl.films import DETAILED, SHIPPED, UNREAD, WEIGHTS, frame_inputs, uneven
 from tests.tiers import thorough
 
 STEPS = [(0, 2, 4), (1, 3, 5), (0, 0, 0), (1, 1, 1), (0, 2, 2), (1, 3, 3)]
 
 
-@pytest.fixture(
-    scope="module",
-    params=[
-        ("float32", WEIGHTS),
-        thorough(("float32-direct", WEIGHTS)),
-        thorough(("half", WEIGHTS)),
-        ("float32", UNREAD),
-        ("float32", DETAILED),
-        thorough(("half", Weights(WEIGHTS, "detail"))),
-    ],
-)
+QUICK = {"cpu": [("float32", WEIGHTS), ("float32", UNREAD), ("float32", DETAILED)], "gpu": [("float32", SHIPPED)]}
+MORE = {
+    "cpu": [("float32-direct", WEIGHTS), ("half", WEIGHTS), ("half", Weights(WEIGHTS, "detail"))],
+    "gpu": [*QUICK["cpu"], ("half", WEIGHTS), ("half", Weights(WEIGHTS, "detail"))],
+}
+
+
+@pytest.fixture(scope="module")
 def frame_and_weights(request, device):
     precision, weights = request.param
     return Frame(weights, device, precision), weights
 
 
+@pytest.mark.parametrize(
+    ("device", "frame_and_weights"),
+    [(name, case) for name, cases in QUICK.items() for case in cases]
+    + [thorough(name, case) for name, cases in MORE.items() for case in cases],
+    indirect=True,
+)
 @settings(max_examples=10, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data(), size=sizes(24), seed=SEEDS, steps=st.sampled_from(STEPS))
 def test_the_frame_is_the_references(frame_and_weights, data, size, seed, steps):
@@ -67,6 +71,7 @@ def test_without_a_residual_it_is_the_references_bits(device):
     np.testing.assert_array_equal(FrameStages(zeros(), device).run_stage("frame", vars(inputs))["image"], want)
 
 
+@ALL_LAYERS
 @pytest.mark.parametrize("on_device", [False, True])
 def test_older_frames_are_checked_where_they_are_read(device, on_device):
     inputs = vars(frame_inputs((9, 11)))

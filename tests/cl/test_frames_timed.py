@@ -4,8 +4,10 @@ import numpy as np
 
 from stss_lab.bench.ours import contender, frame_inputs, truth
 from tests.app.lab.test_bench import WEIGHTS, setup
+from tests.cl.conftest import ALL_LAYERS
 
 
+@ALL_LAYERS
 def test_frames_in_sequence_end_with_that_of_the_inputs(opened):
     """Else their error would be that of other frames."""
     inputs = frame_inputs(16, 24)

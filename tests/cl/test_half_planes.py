@@ -12,7 +12,7 @@ from stss.frames.backends import ReferenceBackend
 from stss_cl.skip.planes import HALF, Planes
 from stss_cl.skip.stream import Stream
 from stss_ref.arrays import ArrayError
-from tests.cl.films import WEIGHTS, assert_same, calls_of, film, halve, on
+from tests.cl.films import assert_same, calls_of, film, halve, on, weights_for
 from tests.cl.test_overlap import here, right
 from tests.tiers import thorough
 
@@ -49,7 +49,7 @@ def test_frames_of_half_have_the_bits_of_the_same_values_in_float32(device, skip
     if where == "mixed":
         frames = [widened(frame) if i % 3 == 0 else frame for i, frame in enumerate(frames)]
     assert frames[1].gbuffer.dtype == np.float16
-    stream, ahead = (Stream(WEIGHTS, device, skip=skip) for _ in range(2))
+    stream, ahead = (Stream(weights_for(device), device, skip=skip) for _ in range(2))
     messages = set()
     for call, also, expected in zip(calls_of(frames), ahead.frames(calls_of(frames)), want, strict=True):
         assert_same(here(stream(*call)), expected)
@@ -61,10 +61,10 @@ def test_frames_of_half_have_the_bits_of_the_same_values_in_float32(device, skip
 @pytest.mark.parametrize("precision", ["float32", thorough("half")])
 def test_the_reference_takes_the_same_planes(device, precision):
     """Images are as near to its images as those of planes in float32 are."""
-    stream = Stream(WEIGHTS, device, precision)
+    stream = Stream(weights_for(device), device, precision)
     for window, steps in calls_of([halve(frame) for frame in film(["moving"] * 6)]):
         image, valid = stream(window, steps)
-        want, want_valid = ReferenceBackend(WEIGHTS).compute(window, steps)
+        want, want_valid = ReferenceBackend(weights_for(device)).compute(window, steps)
         np.testing.assert_array_equal(valid, want_valid)
         assert want.dtype == np.float32
         assert ratio(f"network.cl.{precision}", image, want.astype(np.float64)) <= 1
@@ -80,4 +80,4 @@ def test_what_is_not_finite_in_half_and_planes_that_stay_float32_are_named(devic
     planes = [on(device, frame) for frame in frames] if there else frames
     words = "1 non-finite values" if name in HALF else "expected dtype float32, got float16$"
     with pytest.raises(ArrayError, match=f"^{name}: {words}"):
-        Stream(WEIGHTS, device)(*calls_of(planes)[-1])
+        Stream(weights_for(device), device)(*calls_of(planes)[-1])

@@ -25,7 +25,7 @@ from stss_ref import conv as reference
 from stss_ref.network import network
 from stss_ref.weights import LAYERS, SOURCES, astype
 from stss_ref.weights import random as random_weights
-from tests.cl.conftest import OFTEN
+from tests.cl.conftest import ALL_LAYERS, OFTEN
 from tests.cl.films import network_inputs
 from tests.tiers import thorough
 
@@ -169,6 +169,7 @@ def test_rounding_stays_within_a_tile(processor, at, gated, stride, seed):
         assert not differs[far > (max(side, 1) if stride == 1 else 1)].any(), side
 
 
+@ALL_LAYERS
 def test_small_tiles_at_an_eighth(device):
     """Of the whole network's layers; those of the overlap of strips count on it."""
     layers = Layers(device, random_weights(0), 32, 48, "float32", keep=True)
@@ -184,6 +185,7 @@ def net(request, device):
     return Network(random_weights(5), device, request.param)
 
 
+@ALL_LAYERS
 @few
 @example(size=(1, 1), seed=0, share=0.7)
 @example(size=(8, 16), seed=0, share=0.0)
@@ -194,15 +196,6 @@ def test_the_image_is_the_references(net, size, seed, share):
     assert image.dtype == np.float32
     want = network(*(x.astype(np.float64) for x in inputs), random_weights(5))
     assert ratio(f"network.cl.{net.precision}", image, want) <= 1
-
-
-def test_the_image_in_bfloat16_is_the_references(processor, unoptimised):
-    """The network that the thorough tests have optimised: an emulated unit takes long to compile."""
-    own = Network(random_weights(5), processor, "bfloat16")
-    for size in ((1, 1), (24, 33)):
-        inputs = network_inputs(size, 3)
-        want = network(*(x.astype(np.float64) for x in inputs), random_weights(5))
-        assert ratio("network.cl.bfloat16", own(*inputs), want) <= 1
 
 
 @pytest.mark.thorough
@@ -217,6 +210,7 @@ def test_the_image_with_vectors_of_16(processor, unoptimised):
     assert ratio("network.cl.half", image, want) <= 1
 
 
+@ALL_LAYERS
 @pytest.mark.parametrize("name", ["arena_small", "lewis_wide"])
 @pytest.mark.parametrize("precision", OFTEN)
 def test_the_image_is_the_authors(reference_data, device, name, precision):
@@ -239,6 +233,7 @@ def without(weights, *layers):
     return weights | {n: w * 0 for n, w in weights.items() if n.startswith(layers) and w.ndim == 4}
 
 
+@ALL_LAYERS
 @pytest.mark.parametrize("keep", [False, True])
 def test_layers_that_nobody_reads_are_left_out(device, keep):
     """And what no frame changes is computed once."""
@@ -294,6 +289,7 @@ def test_what_is_left_out_changes_no_bit(processor, unoptimised, names, units, k
     np.testing.assert_array_equal(*images)
 
 
+@ALL_LAYERS
 def test_weights_that_read_no_history_have_the_references_image(device):
     weights = without(random_weights(3), "lowlevelGated")
     inputs, own = network_inputs((16, 24), 3), Network(weights, device)
@@ -303,6 +299,7 @@ def test_weights_that_read_no_history_have_the_references_image(device):
     np.testing.assert_array_equal(own(*inputs), image)
 
 
+@ALL_LAYERS
 def test_the_same_bits_every_time(net):
     """Repeated, after another size, and from arrays that lie elsewhere."""
     inputs = network_inputs((24, 33), 1)
@@ -312,6 +309,7 @@ def test_the_same_bits_every_time(net):
     np.testing.assert_array_equal(net(*inputs), first)
 
 
+@ALL_LAYERS
 def test_the_memory_of_a_dropped_image_serves_the_next(net, device):
     import pyopencl.array as cla
 

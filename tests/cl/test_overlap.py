@@ -21,7 +21,7 @@ from stss_cl.options import SKIPS
 from stss_cl.skip.stream import Stream
 from stss_ref.arrays import ArrayError
 from tests.cl.conftest import watch_launches
-from tests.cl.films import WEIGHTS, assert_same, calls_of, film, on
+from tests.cl.films import SHIPPED, assert_same, calls_of, film, on, weights_for
 from tests.cl.test_stream import sequences
 from tests.tiers import thorough
 
@@ -33,7 +33,7 @@ LONG = 120.0
 
 def right(device, calls):
     """The results of single calls, by a stream that keeps nothing."""
-    stream = Stream(WEIGHTS, device, skip="off")
+    stream = Stream(weights_for(device), device, skip="off")
     return [stream(*call) for call in calls]
 
 
@@ -74,7 +74,7 @@ def test_frames_one_ahead_have_the_bits_of_calls(device, skip, there):
     """SF and EF in turns, of which some change nowhere, some in part and some everywhere; every image is held to the end."""
     frames = film()
     want = right(device, calls_of(frames))
-    stream, plain = Stream(WEIGHTS, device, skip=skip), Stream(WEIGHTS, device, skip=skip)
+    stream, plain = Stream(weights_for(device), device, skip=skip), Stream(weights_for(device), device, skip=skip)
     planes = [on(device, frame) for frame in frames] if there else frames
     outputs, copies, messages = [], [], []
     for pair, call in zip(stream.frames(iter(calls_of(planes))), calls_of(planes), strict=True):
@@ -96,7 +96,7 @@ def test_whatever_comes_in_whatever_order(gpu, calls):
     """Windows out of turn, repeated, cut short; images are held or not."""
     want = right(gpu, calls)
     for skip in SKIPS:
-        stream, images = Stream(WEIGHTS, gpu, skip=skip), []
+        stream, images = Stream(SHIPPED, gpu, skip=skip), []
         for i, (image, valid) in enumerate(stream.frames(calls)):
             assert_same((image, valid), want[i])
             images += [(i, image, valid)] if i % 3 else []
@@ -107,14 +107,14 @@ def test_whatever_comes_in_whatever_order(gpu, calls):
 def test_calls_are_taken_one_ahead(gpu):
     """And no further: a caller that makes frames as it goes needs memory for one more."""
     frames_taken, calls = [], calls_of(film()[:5])
-    for i, _ in enumerate(Stream(WEIGHTS, gpu).frames((frames_taken.append(0), call)[1] for call in calls)):
+    for i, _ in enumerate(Stream(SHIPPED, gpu).frames((frames_taken.append(0), call)[1] for call in calls)):
         assert len(frames_taken) == min(i + 2, 5)
 
 
 def test_calls_may_come_between(gpu):
     """Of frames that the iterator has begun, and of others."""
     calls = calls_of(film())
-    stream, want = Stream(WEIGHTS, gpu), right(gpu, calls)
+    stream, want = Stream(SHIPPED, gpu), right(gpu, calls)
     for i, output in enumerate(stream.frames(calls)):
         between = (i * 3) % len(calls)
         assert_same(stream(*calls[between]), want[between])
@@ -137,7 +137,7 @@ def test_an_error_comes_in_its_turn(gpu, how, looking):
     """After all frames before it, and with nothing for its own; the stream goes on with the frames that are right."""
     frames = film(["moving"] * 9)
     calls, want = calls_of(frames), right(gpu, calls_of(frames))
-    stream = Stream(WEIGHTS, gpu)
+    stream = Stream(SHIPPED, gpu)
     stream.control.frames_unlooked = 0 if looking else 100
     bad = [*frames[:6], broken(frames[6], how), *frames[7:]]
 
@@ -157,7 +157,7 @@ def test_an_error_comes_in_its_turn(gpu, how, looking):
 def test_leaving_early_waits_for_what_was_begun(gpu):
     """Its page-locked memory serves again."""
     calls = calls_of(film(["moving"] * 4))
-    ahead = Stream(WEIGHTS, gpu).frames(calls)
+    ahead = Stream(SHIPPED, gpu).frames(calls)
     next(ahead)
     next(ahead)
     with held_for_a_moment(staging(gpu).downloads) as event:
@@ -195,7 +195,7 @@ def stopped_before(monkeypatch, device, name):
 def test_frames_on_the_device_do_not_wait_for_the_network(gpu, monkeypatch, skip):
     """The call is over while the network stands still."""
     calls = calls_of([on(gpu, frame) for frame in film(["moving"] * 7)])
-    stream, want = begin_all(Stream(WEIGHTS, gpu, skip=skip), calls[:-1]), here(right(gpu, calls[-1:])[0])
+    stream, want = begin_all(Stream(SHIPPED, gpu, skip=skip), calls[:-1]), here(right(gpu, calls[-1:])[0])
     stop = stopped_before(monkeypatch, gpu, "conv")
     with ThreadPoolExecutor(1) as caller:
         try:
@@ -211,7 +211,7 @@ def test_they_wait_for_what_is_found_on_arrival(gpu, monkeypatch, skip):
     frames = film(["moving"] * 7)
     frames[-1].nov[3, 4] = np.inf
     calls = calls_of([on(gpu, frame) for frame in frames])
-    stream = begin_all(Stream(WEIGHTS, gpu, skip=skip), calls[:-1])
+    stream = begin_all(Stream(SHIPPED, gpu, skip=skip), calls[:-1])
     stop = stopped_before(monkeypatch, gpu, "arrive")
     Timer(MOMENT, stop.set_status, [cl.command_execution_status.COMPLETE]).start()
     with pytest.raises(ArrayError, match="nov:"):
@@ -223,7 +223,7 @@ def test_a_frame_arrives_while_the_one_before_it_is_computed_and_no_earlier(gpu,
     """The rule: planes of n + 1 arrive while the launches of n stand still; those of n + 2 wait for them, if memory serves again."""
     frames = film(["moving"] * 10)
     calls, want = calls_of(frames), right(gpu, calls_of(frames))
-    stream = begin_all(Stream(WEIGHTS, gpu, skip=skip), calls[:last])
+    stream = begin_all(Stream(SHIPPED, gpu, skip=skip), calls[:last])
     stop = stopped_before(monkeypatch, gpu, "conv")
     with ThreadPoolExecutor(1) as caller:
         try:
@@ -249,7 +249,7 @@ def test_a_frame_is_whole_however_late_a_queue_is(gpu, looking, queue):
     """Launches wait for what arrives, the download for them, and the caller for the download."""
     frames = film(["moving"] * 8)
     calls, want = calls_of(frames), right(gpu, calls_of(frames))
-    stream = begin_all(Stream(WEIGHTS, gpu), calls[:7])
+    stream = begin_all(Stream(SHIPPED, gpu), calls[:7])
     stream.control.frames_unlooked = 0 if looking else 100
     pool = staging(gpu)
     with held_for_a_moment({"uploads": pool.uploads, "downloads": pool.downloads, "launches": gpu.queue}[queue]):
@@ -265,7 +265,7 @@ def test_nothing_is_written_where_something_still_leaves(gpu, all_rendered):
         frames = [replace(frame, color=frame.gbuffer[..., :3].copy()) for frame in frames]
     calls, want = calls_of(frames), right(gpu, calls_of(frames))
     assert all_rendered or (want[7][1] != want[9][1]).any()
-    stream = begin_all(Stream(WEIGHTS, gpu), calls[:7])
+    stream = begin_all(Stream(SHIPPED, gpu), calls[:7])
     with hold(staging(gpu).downloads):
         frames_begun = [stream.begin(*call) for call in calls[7:10]]
         gpu.queue.finish()
@@ -278,7 +278,7 @@ def test_what_an_engine_enqueues_is_waited_for(gpu, looking):
     """It writes its planes in the queue of the launches, and gives no events."""
     frames = film(["moving"] * 7)
     theirs, want = [on(gpu, frame) for frame in frames], right(gpu, calls_of(frames)[-1:])[0]
-    stream = begin_all(Stream(WEIGHTS, gpu), calls_of(theirs)[:-1])
+    stream = begin_all(Stream(SHIPPED, gpu), calls_of(theirs)[:-1])
     stream.control.frames_unlooked = 0 if looking else 100
     late = theirs[-1].nov
     right_nov = late.copy()

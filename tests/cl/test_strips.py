@@ -19,8 +19,8 @@ from stss_ground.errors import DeviceError
 from stss_ref.frame import frame as reference_frame
 from stss_ref.weights import LAYERS
 from stss_ref.weights import random as random_weights
-from tests.cl.conftest import OFTEN
-from tests.cl.films import calls_of, film, frame_inputs, network_inputs, uneven
+from tests.cl.conftest import ALL_LAYERS, OFTEN
+from tests.cl.films import calls_of, film, frame_inputs, network_inputs, uneven, weights_for
 from tests.tiers import thorough
 
 WIDTH = 24
@@ -72,6 +72,7 @@ def test_too_small_a_limit_says_what_is_needed():
         *(thorough(p, (272, 480), "exact") for p in ("float32-direct", "half")),
     ],
 )
+@ALL_LAYERS
 @pytest.mark.usefixtures("launched")
 def test_the_limit_counts_what_is_allocated(device, monkeypatch, precision, size, skip):
     """All buffers of a stream but the caller's frames, rounded up: to whole pages, and for weights and small frames further."""
@@ -98,6 +99,7 @@ def test_the_limit_counts_what_is_allocated(device, monkeypatch, precision, size
     assert byte_sum >= 0.7 * byte_count - slack
 
 
+@ALL_LAYERS
 @pytest.mark.parametrize("precision", [precision for precision in OFTEN if precision != "bfloat16"])
 def test_strips_have_the_bits_of_the_whole(device, precision):
     weights, height = random_weights(2), 1221
@@ -118,7 +120,7 @@ def test_whole_frames_in_strips(device, steps):
     size = height, WIDTH
     moving = np.random.default_rng(1).uniform(-150, 150, (5, *size, 2))
     inputs = frame_inputs(size, 1, steps, motions=moving, **uneven(size))
-    weights = random_weights(6)
+    weights = weights_for(device)
     whole, valid = Frame(weights, device)(**vars(inputs))
     limit = bytes_for(2 * OVERLAP[True] + 3 * STEP, ceil8(height), WIDTH, np.float32)
     image, valid_in_strips = Frame(weights, device, memory_limit=limit)(**vars(inputs))
