@@ -17,6 +17,7 @@ import pytest
 from stss.frames.carried_planes import WHITE
 from stss_cl.device import amx, matrix_units, program
 from stss_cl.device.buffers import pad, read, write
+from stss_cl.device.conversion import conversions_are_right
 from stss_cl.device.discovery import open_device
 from stss_cl.device.tuning import BUILT_IN, built_in_rows, trial
 from stss_cl.image_space.accumulate import Accumulate
@@ -159,6 +160,11 @@ def stages(device):
         yield from (output.decode(image, WHITE, srgb=srgb, above=above) for srgb in (True, False) for above in (earlier[0], None))
 
 
+def conversions(device):
+    """The kernels' own, since no instructions of Oclgrind's are tested."""
+    yield np.array(conversions_are_right(device, None))
+
+
 SIZES = (1, 1), (3, 5), (8, 8), (9, 13)
 CASES = [
     (network("float32", SIZES), "cpu"),
@@ -171,6 +177,7 @@ CASES = [
     (stream("float32"), "gpu"),
     (matrix, "gpu"),
     (stages, "cpu"),
+    (conversions, "cpu"),
 ]
 
 
