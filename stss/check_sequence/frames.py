@@ -43,6 +43,8 @@ def check_frames(frames: Iterable[Buffers], *, linear: bool = True) -> list[Line
     values = Values()
     for frame in row:
         values.add_buffers(frame)
-    lines = [*motion_lines(judge_motion(pairs), "its profile"), *values.buffer_lines(), *judge_static_geometry(pairs).lines()]
+    geometry = judge_static_geometry(pairs)
+    lines = geometry.left_of(motion_lines(judge_motion(pairs), "its profile"))
+    lines += [*values.buffer_lines(), *geometry.lines()]
     lines += [*nov_lines(row[0]), *alignment_lines(row, linear=linear)]
     return sorted(lines, key=lambda line: line[0] == "note")

@@ -301,8 +301,8 @@ def _pixels(
     for number in sorted({n for pair in sample for n in pair}) or usable[:1]:
         values.add(sequence, number)
     tables["values"] = values.table()
-    lines = [*motion_lines(verdict, f"profile {sequence.profile.name}"), *values.lines(sequence, non_finite)]
-    lines += [*geometry.lines(), *(camera_lines(sequence, usable[0]) if usable else [])]
+    lines = geometry.left_of(motion_lines(verdict, f"profile {sequence.profile.name}"))
+    lines += [*values.lines(sequence, non_finite), *geometry.lines(), *(camera_lines(sequence, usable[0]) if usable else [])]
     rendered = [n for n in sorted(sequence.rendered) if n in usable]
     begin("colours")
     colored = rendered[1 :: max(1, len(rendered) // PAIRS)]

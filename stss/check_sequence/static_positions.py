@@ -4,13 +4,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stss.check_sequence.background_verdict import BackgroundVerdict, common_verdict, measure_background
 from stss.check_sequence.jitter import ALIKE, Jitter, common_shift
+from stss.check_sequence.late_planes import LatePlanes, late_lines
+from stss.check_sequence.normal_directions import NormalVerdict, judge_normals
 from stss.check_sequence.value_statistics import Line
 from stss.frames.buffers import Buffers
 from stss.frames.static_holes import static_holes
@@ -32,18 +34,10 @@ MANY = 0.2
 """Share of holes among static surfaces, from which there is a warning, if motion and positions agree."""
 PROPORTIONAL = 0.05
 """Largest median deviation of depths from the distance along the view, as a share of it."""
-TILT = 5.0
-"""Degrees: the least median angle between stored normals and those of the surfaces that positions form, from which there is a warning.
-Found: up to 1.2 in the reference films."""
-LATE = 0.25
-"""A plane belongs to the previous frame if its error there is below this share of its error here. Found: up to 0.06 where it does, 19
-and more where it does not."""
 MOVERS = 0.01
 """Share of the surfaces with stencil 0 that move by themselves, from which there is a warning."""
 MOVER = 0.5
 """Pixels: a surface moves by itself if its motion and those of all its neighbours differ by more from the positions' motion."""
-FLAT = 0.1
-"""A surface counts where its positions' second differences are below this share of the first."""
 
 
 @dataclass(frozen=True)
@@ -58,8 +52,7 @@ class StaticVerdict:
         relative: positions begin at the camera in every frame, although motion says that the camera moves.
         fit: true motion over stored motion by least squares, ``(scale, offset)`` for x and y.
         depth: median deviation from the distance along the view; -1 where depth falls with distance.
-        late: the same of the depth of the previous frame by these positions, and of this depth by the positions of the previous frame.
-        normals: median angle between normals and surfaces, as stored and after the one rotation that fits best; degrees.
+        normals: the verdict on them, the median of each fact over the frames.
         holes: share of the static surfaces that are holes, over one frame; motion that leads off the frame does not count.
         movers: share of the static surfaces whose motion is not that of static geometry, while the motion of the others is.
     """
@@ -71,8 +64,7 @@ class StaticVerdict:
     relative: bool
     fit: tuple[tuple[float, float], ...]
     depth: float
-    late: tuple[float, float]
-    normals: tuple[float, float]
+    normals: NormalVerdict
     holes: float
     movers: float
 
@@ -80,13 +72,6 @@ class StaticVerdict:
     def agrees(self) -> bool:
         """Whether the stored motion agrees with the positions."""
         return self.error <= max(AGREES, 3 * self.residual)
-
-    @property
-    def lags(self) -> str:
-        """The plane that belongs to the previous frame: position, depth, or none."""
-        own = self.depth if self.depth >= 0 else np.inf
-        fits = (name for name, error in zip(("position", "depth"), self.late, strict=True) if 0 <= error < LATE * own)
-        return next(fits, "")
 
     def lines(self) -> list[Line]:
         """Findings."""
@@ -126,27 +111,14 @@ class StaticVerdict:
         if self.agrees and self.movers > MOVERS:
             text = f"stencil: 0 on {self.movers:.1%} of the surfaces, though their motion shows that they move"
             lines.append(("warning", f"{text}: give every moving object a number above 0, or is their motion wrong?"))
-        lines += self._depths()
-        stored, turned = self.normals
-        if stored > TILT and turned < LATE * stored:
-            lines.append(
-                (
-                    "warning",
-                    "normal: rotated against positions; expected both in world space: is one in the camera's space?",
-                )
-            )
-        return lines
-
-    def _depths(self) -> list[Line]:
-        if self.lags:
-            other = "depth" if self.lags == "position" else "position"
-            return [("warning", f"{self.lags}: that of the previous frame, by {other}; expected planes of one moment")]
         if self.depth < 0:
-            return [("warning", "depth: falls where the distance of positions grows; expected linear depth, it looks reversed")]
-        if self.depth > PROPORTIONAL:
+            lines.append(
+                ("warning", "depth: falls where the distance of positions grows; expected linear depth, it looks reversed")
+            )
+        elif self.depth > PROPORTIONAL:
             text = f"depth: {self.depth:.0%} off a depth in proportion to the view distance of positions"
-            return [("warning", f"{text}; expected linear depth, not that of a depth buffer")]
-        return []
+            lines.append(("warning", f"{text}; expected linear depth, not that of a depth buffer"))
+        return [*lines, *self.normals.lines()]
 
 
 @dataclass(frozen=True)
@@ -157,22 +129,42 @@ class StaticGeometry:
         positions: the verdict by positions; None where no pair shows enough static geometry.
         jitter: of the camera.
         repeats: frames with the positions of the previous frame, though something moves.
+        late: the planes that are those of the previous frame.
         background: the verdict on it; None where there is none, or the scene is flat.
     """
 
     positions: StaticVerdict | None
     jitter: Jitter
     repeats: tuple[int, ...]
+    late: tuple[str, ...]
     background: BackgroundVerdict | None
+
+    @property
+    def blames_motion(self) -> bool:
+        """Whether all motion is wrong, by positions."""
+        of = self.positions
+        return of is not None and "position" not in self.late and of.residual <= LOOSE and not (of.agrees or of.relative)
+
+    def left_of(self, lines: list[Line]) -> list[Line]:
+        """What to say of findings about motion by other planes: one mistake has one name."""
+        if self.positions is None or not self.blames_motion:
+            return lines
+        return [] if self.positions.motion else [line for line in lines if line[0] == "warning"]
 
     def lines(self) -> list[Line]:
         """Findings."""
-        late = self.positions is not None and self.positions.lags == "position"  # they are not those of what is static now
         repetition = f"position: frames {', '.join(map(str, self.repeats))} repeat that of the previous frame"
         return [
             *([("warning", f"{repetition}; every display frame needs its own G-buffer")] if self.repeats else []),
-            *([] if self.positions is None else self.positions.lines()),
-            *([] if self.background is None or late else self.background.lines()),
+            *late_lines(self.late),
+            *([] if "position" in self.late else self._by_positions()),  # they are not those of what is static now
+        ]
+
+    def _by_positions(self) -> list[Line]:
+        lines = [] if self.positions is None else self.positions.lines()
+        return [
+            *(line for line in lines if not line[1].startswith(self.late)),  # a late plane is off, but by less
+            *([] if self.background is None or self.blames_motion else self.background.lines()),
             *(("warning", text) for text in self.jitter.lines),
         ]
 
@@ -185,6 +177,7 @@ def judge_static_geometry(pairs: Iterable[tuple[Buffers, Buffers]]) -> StaticGeo
     within: list[tuple[float, float]] = []
     repeats: list[int] = []
     sky: list[BackgroundVerdict] = []
+    late = LatePlanes()
     size, mirrored, relative = (0, 0), None, True
     for before, now in pairs:
         size = now.size
@@ -194,6 +187,7 @@ def judge_static_geometry(pairs: Iterable[tuple[Buffers, Buffers]]) -> StaticGeo
         if _is_repeated(before, now):
             repeats.append(now.number)
             continue
+        late.add(before, now)
         earlier, current = (solve_projection(f.position, static_surfaces(f)) for f in (before, now))
         if earlier is None or current is None:
             continue
@@ -214,10 +208,10 @@ def judge_static_geometry(pairs: Iterable[tuple[Buffers, Buffers]]) -> StaticGeo
         valid, inside = holes(now.motion, *surfaces, now.nov, now.depth), leads_inside(follow(now.motion))
         share = static_holes(np.where(inside, now.stencil, 1), now.normal, valid) or 0.0
         movers = _movers(here[:, ::-1], np.linalg.norm(there[visible] - here - motions[0], axis=-1), size)
-        depths = (_depth(a.depth, b, by) for a, b, by in ((now, now, current), (before, now, current), (now, before, earlier)))
-        single.append((max(earlier.residual, current.residual), *depths, *_normals(now), share, movers))
+        normals = judge_normals(now, current)
+        single.append((max(earlier.residual, current.residual), _depth(now, current), share, movers, *astuple(normals)))
     positions = _verdict(samples, single, size, mirrored=mirrored, relative=relative) if samples else None
-    return StaticGeometry(positions, Jitter(tuple(against), tuple(within)), tuple(repeats), common_verdict(sky))
+    return StaticGeometry(positions, Jitter(tuple(against), tuple(within)), tuple(repeats), late.names, common_verdict(sky))
 
 
 def _at_origin(projection: Projection, frame: Buffers) -> bool:
@@ -238,7 +232,7 @@ def _verdict(
     relative: bool,
 ) -> StaticVerdict:
     true, motion, reversed_rows = (np.concatenate(of) for of in zip(*samples, strict=True))
-    residual, depth, early, late, stored, turned, share, movers = (float(np.median(of)) for of in zip(*single, strict=True))
+    residual, depth, share, movers, *angles = (float(np.median(of)) for of in zip(*single, strict=True))
     errors = {what: _error(true, guess) for what, guess in _guesses(motion, reversed_rows, size, mirrored=mirrored).items()}
     own, best = errors.pop(""), min(errors, key=lambda what: errors[what])
     fit = tuple(_line(true[:, k], motion[:, k]) for k in (0, 1))
@@ -252,7 +246,7 @@ def _verdict(
     if moves <= 3 * residual and claims > MOVES:
         best, tells = "right if positions are the camera's: are they in view space, or relative to the camera?", True
     return StaticVerdict(
-        len(true), residual, own, best if tells else "", relative, fit, depth, (early, late), (stored, turned), share, movers
+        len(true), residual, own, best if tells else "", relative, fit, depth, NormalVerdict(*angles), share, movers
     )
 
 
@@ -336,36 +330,14 @@ def _line(true: Array, motion: Array) -> tuple[float, float]:
     return scale, offset
 
 
-def _depth(plane: Array, frame: Buffers, projection: Projection) -> float:
+def _depth(frame: Buffers, projection: Projection) -> float:
     """Median deviation of depths from a multiple of the distance along the view of a frame's positions; -1 where they fall with it."""
-    mask = static_surfaces(frame) & np.isfinite(plane)
+    mask = static_surfaces(frame)
     if mask.sum() < 2:
         return np.inf
     away = projection.project(frame.position[mask].astype(np.float64))[1]
-    depth = plane[mask].astype(np.float64)
+    depth = frame.depth[mask].astype(np.float64)
     if np.cov(depth, away)[0, 1] < 0:
         return -1.0
     scale = float(np.median(depth / away))
     return float(np.median(np.abs(depth / (scale * away) - 1)))
-
-
-def _normals(frame: Buffers) -> tuple[float, float]:
-    """The median angle between normals and flat surfaces, as stored and after the best turn; degrees; 0 where nothing is flat."""
-    p = frame.position.astype(np.float64)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        across, down = (p[1:-1, 2:] - p[1:-1, :-2]), (p[2:, 1:-1] - p[:-2, 1:-1])
-        bend = np.abs(p[1:-1, 2:] + p[1:-1, :-2] - 2 * p[1:-1, 1:-1]) + np.abs(p[2:, 1:-1] + p[:-2, 1:-1] - 2 * p[1:-1, 1:-1])
-        flat = bend.sum(axis=-1) < FLAT * np.minimum(np.linalg.norm(across, axis=-1), np.linalg.norm(down, axis=-1))
-        normals = np.cross(across, down)
-        normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
-    mask = flat & np.isfinite(normals).all(axis=-1) & static_surfaces(frame)[1:-1, 1:-1]
-    if not mask.any():
-        return 0.0, 0.0
-    a, b = frame.normal[1:-1, 1:-1][mask].astype(np.float64), normals[mask]
-    u, _, v = np.linalg.svd(a.T @ b)  # the cross product may point away from the camera, but then it does so everywhere
-    sign = np.sign(np.median((a * b).sum(axis=-1)))
-    a /= np.linalg.norm(a, axis=-1, keepdims=True)  # a mixture of several is shorter
-    stored, turned = (
-        float(np.degrees(np.median(np.arccos(np.clip((of * b).sum(axis=-1), -1, 1))))) for of in (sign * a, a @ (u @ v))
-    )
-    return stored, turned

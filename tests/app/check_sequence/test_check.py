@@ -94,12 +94,14 @@ def test_colours_of_few_samples_are_of_g_buffer_frames(tmp_path, samples, level,
 
 @pytest.mark.parametrize("choice", list(CHOICES)[1::3])
 def test_a_wrong_choice_of_motion_is_told(write_frames, choice):
-    """Motion stored wrongly, in three of the seven ways; the report names the right convention."""
+    """Motion stored wrongly, in three of the seven ways; the report names the right convention, also where positions prove nothing."""
     swap, x, y = CHOICES[choice]
+    rng = np.random.default_rng(7)
 
     def change(number, channels):
         motion = np.stack([channels["motion.X"], channels["motion.Y"]], axis=-1) * (x, y)
         channels["motion.X"], channels["motion.Y"] = np.moveaxis(motion[..., ::-1] if swap else motion, -1, 0)
+        channels["position.X"] = rng.permuted(channels["position.X"])
 
     report = check(write_frames([1, 2, 3], change=change), SequenceOptions("stss"))
     (text,) = (text for text in texts(report, "warning") if text.startswith("motion: fits"))

@@ -64,13 +64,77 @@ def test_each_mistake_is_a_warning_and_comes_first(frames, said):
     assert any(level == "warning" and text.startswith(said) for level, text in lines), lines
 
 
-@pytest.mark.parametrize("late", ["position", "depth"])
-def test_a_plane_of_the_frame_before_is_named(frames, late):
-    """As a constant buffer that is updated after the draw leaves it."""
-    mixed = [replace(now, **{late: getattr(before, late)}) for before, now in pairwise(frames)]
-    lines = stss.check_frames(mixed)
-    other = {"position": "depth", "depth": "position"}[late]
-    assert ("warning", f"{late}: that of the previous frame, by {other}; expected planes of one moment") in lines
+YAW = 0.12
+"""Radians: the camera of `level` is nearly along an axis, as in many scenes."""
+WORLD = np.float32([[np.cos(YAW), 0, np.sin(YAW)], [np.sin(YAW), 0, -np.cos(YAW)], [0, 1, 0]])
+"""Takes (x right, y forward, z up) to a world with y up."""
+
+
+@pytest.fixture(scope="module")
+def level():
+    """A level camera that moves sideways at a steady pace: floor and sky, of which most look alike in all frames. The world has y up."""
+    rows = []
+    for number in NUMBERS:
+        view = render(SCENES["sky"], number, 90, 160)
+        planes = {name: getattr(view, name) for name in view.__dataclass_fields__}
+        hit = np.isfinite(view.depth)[..., None]
+        planes |= {"position": np.where(hit, view.position @ WORLD, 1e7), "normal": view.normal @ WORLD}
+        rows.append(stss.Buffers(number=number, **{name: np.float32(plane) for name, plane in planes.items()}))
+    return rows
+
+
+def warnings_of(frames):
+    return [text for level, text in stss.check_frames(frames) if level == "warning"]
+
+
+@pytest.mark.parametrize("plane", ["position", "depth", "normal", "stencil"])
+@pytest.mark.parametrize("scene", ["frames", "level"])
+def test_a_plane_of_the_frame_before_is_named_alone(request, plane, scene):
+    """As a constant buffer that is updated after the draw leaves it. A floor that looks alike in both frames hides nothing."""
+    mixed = [replace(now, **{plane: getattr(before, plane)}) for before, now in pairwise(request.getfixturevalue(scene))]
+    other = "depth" if plane == "position" else "position"
+    assert f"{plane}: that of the previous frame, by {other}; expected planes of one moment" in warnings_of(mixed)
+    assert len([text for text in warnings_of(mixed) if "jitter" not in text]) == 1
+
+
+def test_objects_with_an_outline_are_not_late(level):
+    """Numbers that reach a pixel too far have edges where the previous frame had them, on one side of each object."""
+
+    def widen(stencil):
+        return np.max([np.roll(stencil, shift, (0, 1)) for shift in ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1))], axis=0)
+
+    assert not [text for text in warnings_of(replace(f, stencil=widen(f.stencil)) for f in level) if "previous frame" in text]
+
+
+def turned(degrees):
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    return np.float32([[c, 0, s], [0, 1, 0], [-s, 0, c]])
+
+
+NORMALS = {
+    "normal: in the camera's space": lambda n: n @ WORLD.T @ np.float32([[1, 0, 0], [0, 0, -1], [0, 1, 0]]),
+    "normal: rotated against positions, or mirrored, by 60 degrees": lambda n: n @ turned(60),
+    "normal: rotated against positions, or mirrored, by 1": lambda n: n * np.float32([-1, 1, 1]),
+}
+
+
+@pytest.mark.parametrize("said", NORMALS)
+def test_normals_of_walls_are_compared_as_well_as_those_of_the_floor(level, said):
+    """The floor's normal is the same in all of these spaces."""
+    texts = warnings_of(replace(f, normal=NORMALS[said](f.normal)) for f in level)
+    assert [text.startswith(said) for text in texts if text.startswith("normal")] == [True], texts
+
+
+def test_normals_that_maps_and_shading_bend_are_right(level):
+    """By 20 degrees to all sides, in a pattern that is fixed to the surfaces, and on a wall by 4 degrees to one side."""
+
+    def bend(frame):
+        waves = np.sin(frame.position / 5 + np.roll(frame.position / 7, 1, axis=-1))
+        normal = frame.normal + 0.35 * waves + 0.07 * (np.abs(frame.normal[..., 2:]) > 0.5) * np.float32([1, 0, 0])
+        unit = normal / np.linalg.norm(normal, axis=-1, keepdims=True)
+        return replace(frame, normal=np.float32(np.where(np.isfinite(frame.depth)[..., None], unit, 0)))
+
+    assert not [text for text in warnings_of(map(bend, level)) if text.startswith("normal")]
 
 
 @pytest.mark.parametrize("without", [0, 1])
