@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT
 // From the network's image to the caller's, references stss_ref/resample.py::upsample_centres and stss/images/color.py.
 //
-//  buffer    dir  shape               unit
+//  buffer    dir  shape        unit
 //  plane     in   (H, W, C)    any unit; finite
 //  motion    in   (H, W, 2)    px, display frame -> rendered frame; non-finite reads the pixel itself
 //  moved     out  (H, W, C)    as plane
