@@ -33,10 +33,10 @@ def buffers(**changes):
 
 
 def planes(**changes):
-    arrays = {
-        name: getattr(buffers(), name) for name in buffers().__dataclass_fields__ if name not in ("number", "cut", "carried")
-    }
-    return arrays | changes
+    frame = buffers()
+    return {
+        name: getattr(frame, name) for name in frame.__dataclass_fields__ if name not in ("number", "cut", "carried")
+    } | changes
 
 
 @cache
