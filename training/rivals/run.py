@@ -54,7 +54,7 @@ from training.rivals.wgsl_upscaler import WgslUpscaler
 CHAINS = ("extranet+nsrr", "rife+nsrr", "nsrr+extranet", "extranet", "nsrr", "authors")
 EVERY, BETWEEN = "every", ("lanczos+rife", f"{NETWORK}+rife")
 JITTERED = ("taau", "wgsl", "nss")
-"""Methods that `--jitter` tells of the camera's jitter."""
+"""Methods that `--jitter` tells of the camera's jitter; without it `taau` is that of `stss methods`."""
 
 
 class Chain(OnHost):
@@ -274,7 +274,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         if method == EVERY or method in BETWEEN:
             folder = None if method == EVERY else args.out / method.partition("+")[0]
             return cast(Backend, RenderedFrames(method, rendered_frame, curve, folder)), method
-        if method in JITTERED:
+        if method in JITTERED and (method not in METHODS or args.jitter is not None):
             backend = JitteredBackend(method, open_upsampler(method, args), read_offsets(args.jitter), files.load, curve)
             return cast(Backend, backend), method
         return open_method(method, loaded)
