@@ -91,6 +91,7 @@ def check(
     reading: SequenceOptions,
     *,
     frames: tuple[int, int] | None = None,
+    all_values: bool = False,
     console: Console | None = None,
 ) -> CheckReport:
     """Check a sequence's frames, buffers, conventions and values.
@@ -99,6 +100,7 @@ def check(
         sequence_path: folder or pattern, see `stss.sequence.reader.open_sequence`.
         reading: how to read it; ``non_finite`` "refuse" makes values that are not finite an error, "mask" a warning.
         frames: first and last display frame to check; None: all.
+        all_values: look at the values of all these frames; False: only of those that are read for motion and positions, at most six.
         console: shows the progress; None: no progress.
 
     Raises:
@@ -129,7 +131,7 @@ def check(
         tables["summary"] = summary(numbers, sequence.size)
         findings += _storage(sequence, numbers, tables)
         with show_steps(console, LOOKS) as begin:
-            findings += _pixels(sequence, numbers, reading.non_finite, tables, begin)
+            findings += _pixels(sequence, numbers, reading.non_finite, tables, begin, all_values=all_values)
             begin("sampling")
             sampling = judge_sampling(sequence)
         tables["sampling"] = dataclasses.asdict(sampling)
@@ -171,7 +173,8 @@ def missing_frames(numbers: list[int]) -> list[CheckFinding]:
         )
         return [CheckFinding("error", text)]
     missing = chain.from_iterable(range(a + 1, b) for a, b in pairwise(numbers))  # lazily: numbers may lie far apart
-    text = f"display frames {_list_first(islice(missing, LISTED), count)} are not there: G-buffer and motion of each are needed"
+    verb = "is" if count == 1 else "are"
+    text = f"display {_frames(islice(missing, LISTED), count)} {verb} not there: every one needs its G-buffer and motion"
     return [CheckFinding("error", text)]
 
 
@@ -187,19 +190,22 @@ def broken_frames(sequence: Sequence, numbers: list[int]) -> list[CheckFinding]:
 def missing_buffers(sequence: Sequence, numbers: list[int]) -> list[CheckFinding]:
     """Buffers that some frames have and others lack; and which frames have a colour."""
     findings: list[CheckFinding] = []
+    lacking: dict[tuple[int, ...], list[str]] = {}
     for buffer in BUFFERS:
-        missing = [n for n in numbers if not sequence.has(n, buffer)]
+        missing = tuple(n for n in numbers if not sequence.has(n, buffer))
         if missing and buffer != "color":
-            text = f"{buffer}: not there in frames {_list_first(missing, len(missing))}; every display frame needs it, rendered or not"
-            findings.append(CheckFinding("error", text))
+            lacking.setdefault(missing, []).append(buffer)
+    for missing, buffers in lacking.items():
+        text = f"{', '.join(buffers)}: not there in {_frames(missing, len(missing))}; every display frame needs its own, rendered or not"
+        findings.append(CheckFinding("error", text))
     rendered = sorted(sequence.rendered.intersection(numbers))
     if rendered == numbers:
         findings.append(_every_color(sequence, numbers))
     elif rendered and rendered == [n for n in numbers if (n - rendered[0]) % 2 == 0 and n >= rendered[0]]:
         findings.append(CheckFinding("note", f"colour: every second frame from {rendered[0]} on"))
     else:
-        listing = _list_first(rendered, len(rendered)) if rendered else "none"
-        findings.append(CheckFinding("warning", f"colour: expected every frame or every second one; found frames {listing}"))
+        listing = _frames(rendered, len(rendered)) if rendered else "none"
+        findings.append(CheckFinding("warning", f"colour: expected every frame or every second one; found {listing}"))
     return findings
 
 
@@ -215,7 +221,7 @@ def data_windows(sequence: Sequence, numbers: list[int]) -> list[CheckFinding]:
         text = f"overscan: {left} pixels left, {right} right, {top} above, {bottom} below; it is read and computed, too"
         findings.append(CheckFinding("note", text))
     if cropped:
-        text = f"data windows: cropped in frames {_list_first(cropped, len(cropped))}; nothing was hit outside"
+        text = f"data windows: cropped in {_frames(cropped, len(cropped))}; nothing was hit outside"
         findings.append(CheckFinding("note", text))
     return findings
 
@@ -243,10 +249,10 @@ def _samples(sequence: Sequence, number: int) -> int:
     return int(counts[0]) if counts and counts[0].isdecimal() and len(counts[0]) < 10 else 0
 
 
-def _list_first(numbers: Iterable[int], count: int) -> str:
-    """The first of ``count`` numbers, as text."""
+def _frames(numbers: Iterable[int], count: int) -> str:
+    """The first of ``count`` frames, as text."""
     more = f", ... ({count} in all)" if count > LISTED else ""
-    return ", ".join(str(n) for n in islice(numbers, LISTED)) + more
+    return f"frame{'' if count == 1 else 's'} {', '.join(str(n) for n in islice(numbers, LISTED))}{more}"
 
 
 def _frame_table(sequence: Sequence, numbers: list[int]) -> dict[str, object]:
@@ -284,9 +290,15 @@ def _storage(sequence: Sequence, numbers: list[int], tables: dict[str, object]) 
 
 
 def _pixels(
-    sequence: Sequence, numbers: list[int], non_finite: NonFinite, tables: dict[str, object], begin: Callable[[str], None]
+    sequence: Sequence,
+    numbers: list[int],
+    non_finite: NonFinite,
+    tables: dict[str, object],
+    begin: Callable[[str], None],
+    *,
+    all_values: bool,
 ) -> list[CheckFinding]:
-    """Read a few pairs of neighbouring frames and look at their values."""
+    """Read a few pairs of neighbouring frames, and look at their values or at those of all frames."""
     usable = [n for n in numbers if all(buffer == "color" or sequence.has(n, buffer) for buffer in BUFFERS)]
     pairs = [(a, b) for a, b in pairwise(usable) if b == a + 1]
     sample = pairs[:: max(1, -(-len(pairs) // PAIRS))]
@@ -298,16 +310,34 @@ def _pixels(
     tables |= dataclasses.asdict(geometry)
     begin("values")
     values = Values()
-    for number in sorted({n for pair in sample for n in pair}) or usable[:1]:
+    looked = sorted({n for pair in sample for n in pair}) or usable[:1]
+    for number in usable if all_values else looked:
         values.add(sequence, number)
     tables["values"] = values.table()
     lines = geometry.left_of(motion_lines(verdict, f"profile {sequence.profile.name}"))
-    lines += [*values.lines(sequence, non_finite), *geometry.lines(), *(camera_lines(sequence, usable[0]) if usable else [])]
+    lines += values.lines(sequence, non_finite)
+    positions, camera = geometry.lines(), camera_lines(sequence, usable[0]) if usable else []
+    if any(text.startswith("position: relative") for _, text in positions):
+        camera = []  # any other camera is wrong, too
+    if any(level == "warning" for level, _ in camera) and "nov" not in sequence.frames[usable[0]].sources:
+        lines = [line for line in lines if not line[1].startswith("nov: ")]  # which is computed by that camera
+    lines += [*positions, *camera]
     rendered = [n for n in sorted(sequence.rendered) if n in usable]
     begin("colours")
     colored = rendered[1 :: max(1, len(rendered) // PAIRS)]
     lines += alignment_lines(map(sequence.load, colored), linear=sequence.profile.color_domain == "linear")
+    tables["looked at"] = {"values": usable if all_values else looked, "motion and positions": looked}
+    lines.append(("note", _looked(looked, len(numbers), all_values=all_values)))
     return [CheckFinding(level, text) for level, text in lines]
+
+
+def _looked(looked: list[int], count: int, *, all_values: bool) -> str:
+    """How much of the sequence the findings are about."""
+    some = f"of {len(looked)} of {count} frames ({', '.join(map(str, looked))})"
+    if all_values:
+        return f"looked at: values of all frames that have every buffer; motion and positions {some}"
+    rest = "" if len(looked) == count else "; a run may refuse values of the others: --all looks at them"
+    return f"looked at: values, motion and positions {some}{rest}"
 
 
 def print_report(report: CheckReport, console: Console) -> None:
@@ -322,7 +352,8 @@ def print_report(report: CheckReport, console: Console) -> None:
         console.print(table)
     _print_findings([finding for finding in report.findings if finding.level == "note"], console)
     verdict = ("fits", "can be run, but look at the warnings", "cannot be run")[report.status]
-    console.print(f"[bold]{verdict}[/]: {report.tables.get('summary', 'see the errors')}", soft_wrap=True, highlight=False)
+    summary = "see the errors" if report.status == 2 else report.tables["summary"]
+    console.print(f"[bold]{verdict}[/]: {summary}", soft_wrap=True, highlight=False)
 
 
 def _print_findings(findings: list[CheckFinding], console: Console) -> None:

@@ -118,7 +118,9 @@ class StaticVerdict:
         elif self.depth > PROPORTIONAL:
             text = f"depth: {self.depth:.0%} off a depth in proportion to the view distance of positions"
             lines.append(("warning", f"{text}; expected linear depth, not that of a depth buffer"))
-        return [*lines, *self.normals.lines()]
+        return (
+            lines if self.relative and not self.agrees else [*lines, *self.normals.lines()]
+        )  # those of the camera have its axes
 
 
 @dataclass(frozen=True)
@@ -145,6 +147,12 @@ class StaticGeometry:
         of = self.positions
         return of is not None and "position" not in self.late and of.residual <= LOOSE and not (of.agrees or of.relative)
 
+    @property
+    def _has_motion(self) -> bool:
+        """Whether the motion of what is infinitely far can be judged by itself."""
+        of = self.positions
+        return of is None or of.agrees or (of.residual > LOOSE)
+
     def left_of(self, lines: list[Line]) -> list[Line]:
         """What to say of findings about motion by other planes: one mistake has one name."""
         if self.positions is None or not self.blames_motion:
@@ -164,7 +172,7 @@ class StaticGeometry:
         lines = [] if self.positions is None else self.positions.lines()
         return [
             *(line for line in lines if not line[1].startswith(self.late)),  # a late plane is off, but by less
-            *([] if self.background is None or self.blames_motion else self.background.lines()),
+            *([] if self.background is None or not self._has_motion else self.background.lines()),
             *(("warning", text) for text in self.jitter.lines),
         ]
 

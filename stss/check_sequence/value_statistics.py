@@ -188,7 +188,7 @@ class Values:
                 meaning = {"motion": "off screen", "depth": "nothing hit", "position": "a hole"}[buffer]
                 lines.append(("note", f"{text}; taken as {meaning}"))
             elif policy == "refuse":
-                lines.append(("error", f"{text}; refused unless non-finite values are masked"))
+                lines.append(("error", f"{text}; a run refuses them; --non-finite mask takes them as 0"))
             else:
                 lines.append(("warning", f"{text}; masked"))
         return lines

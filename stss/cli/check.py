@@ -25,15 +25,17 @@ from stss_ground.terminal import Terminal
 @click.argument("sequence", type=ReadPath())
 @sequence_options
 @click.option("--frames", type=FrameRange(), help="First and last frame to check.")
+@click.option("--all", "all_values", is_flag=True, help="Look at the values of all frames, as a run does, not of six.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
-def check(sequence: Path, reading: SequenceOptions, frames: tuple[int, int] | None, as_json: bool) -> None:
+def check(sequence: Path, reading: SequenceOptions, frames: tuple[int, int] | None, all_values: bool, as_json: bool) -> None:
     """List the contents of SEQUENCE, and say whether it can be run.
 
+    Reads the headers of all frames, and the pixels of six: three pairs, evenly spread.
     Ends with status 0 when it can, 1 when it can but something looks wrong, 2 when it cannot.
     """
     from stss.check_sequence import report as checking
 
-    report = checking.check(sequence, reading, frames=frames, console=Terminal(stderr=True))
+    report = checking.check(sequence, reading, frames=frames, all_values=all_values, console=Terminal(stderr=True))
     if as_json:
         click.echo(report.to_json())
     else:

@@ -120,5 +120,5 @@ def settle_all_finite(
             y, x = np.argwhere(bad[..., channel])[0]
             where = f"{sources[name].path}: channel {sources[name].names[channel]}"
             count = int(bad[..., channel].sum())
-            raise InputError(f"{where}: {count} non-finite values, first at (y={y}, x={x})")
+            raise InputError(f"{where}: {count} non-finite values, first at (y={y}, x={x}); --non-finite mask takes them as 0")
         into[name] = np.where(bad, np.float32(0), plane)

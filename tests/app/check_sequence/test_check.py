@@ -52,6 +52,41 @@ def test_frames_and_buffers_that_are_missing(write_frames):
     assert report.status == 2
 
 
+def test_one_missing_frame_and_buffers_of_the_same_frames_are_one_line_each(write_frames):
+    """And no time is promised for a run that cannot begin."""
+
+    def change(number, channels):
+        return {k: v for k, v in channels.items() if number % 2 or k in ("R", "G", "B", "motion.X", "motion.Y")}
+
+    report = check(write_frames([1, 2, 4, 5], change=change), SequenceOptions("stss"))
+    first, second = texts(report, "error")
+    assert first == "display frame 3 is not there: every one needs its G-buffer and motion"
+    assert second.startswith(
+        "normal, depth, position, stencil, nov, base_color, roughness, metallic: not there in frames 2, 4; every"
+    )
+    output = io.StringIO()
+    print_report(report, Console(width=100, file=output))
+    assert output.getvalue().splitlines()[-1] == "cannot be run: see the errors"
+
+
+def test_how_many_frames_were_looked_at_is_said_and_all_may_be(write_frames):
+    """A run refuses frame 13, which is none of those that are looked at."""
+
+    def change(number, channels):
+        if number == 13:
+            channels["normal.X"][2, 3] = np.nan
+
+    folder = write_frames(range(16), change=change, size=(16, 24))
+    some, every = (check(folder, SequenceOptions("stss"), all_values=of) for of in (False, True))
+    text = "looked at: values, motion and positions of 6 of 16 frames (0, 1, 5, 6, 10, 11); a run may refuse values of the others: --all"
+    assert some.status < 2
+    assert [line.startswith(text) for line in texts(some, "note") if "looked at" in line] == [True]
+    assert texts(every, "error") == [
+        "normal: 1 non-finite values, first in frame 13; a run refuses them; --non-finite mask takes them as 0"
+    ]
+    assert any(line.startswith("looked at: values of all frames") for line in texts(every, "note"))
+
+
 def test_half_rate_g_buffers_are_said_first(write_frames):
     """The likeliest mistake: everything was rendered at half rate."""
     folder = write_frames([1, 3, 5, 7], change=lambda _, c: {k: v for k, v in c.items() if k != "nov.X"})
@@ -160,7 +195,7 @@ def planted(**changes):
             {"stencil_X": (1, 1), "R": np.nan, "motion_X": np.nan, "position_X": np.inf},
             [
                 ("warning", "stencil: 0 nowhere"),
-                ("error", "color: 3 non-finite values, first in frame 1; refused unless"),
+                ("error", "color: 3 non-finite values, first in frame 1; a run refuses them; --non-finite mask"),
                 ("note", "motion: 3 non-finite values, first in frame 1; taken as off screen"),
                 ("note", "position: 3 non-finite values, first in frame 1; taken as a hole"),
             ],

@@ -132,6 +132,20 @@ def test_sound_frames(findings_of, change):
     assert any(text.startswith("holes: ") for text in notes)
 
 
+def test_a_file_upside_down_is_one_mistake(findings_of):
+    """The signs of motion, and the background's, are wrong by the same cause."""
+    warnings, notes = findings_of(upside_down)
+    assert [text.startswith("motion: seems to be right if the file is upside down") for text in warnings] == [True], warnings
+    assert not [text for text in notes if text.startswith("motion: ")]
+
+
+def test_normals_from_0_to_1_are_one_mistake(findings_of):
+    warnings, _ = findings_of(of("normal", lambda n: n / 2 + 0.5))
+    assert [text for text in warnings if text.startswith("normal")] == [
+        "normal: no negative component anywhere; expected -1..1, it looks like 0..1"
+    ]
+
+
 @pytest.mark.parametrize(
     ("changes", "words"),
     [

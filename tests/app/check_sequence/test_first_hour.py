@@ -105,3 +105,25 @@ def test_check_proves_a_camera_right_or_wrong(write_frames, tmp_path):
         table.write_text(f"frame,x,y,z\n0,{place}\n1,{place}\n")
         report = CliRunner().invoke(stss, ["check", str(lr), "--camera", str(table)], catch_exceptions=False)
         assert expected in report.output
+
+
+def test_a_camera_in_another_unit_is_told_by_the_factor(write_frames, tmp_path):
+    """Positions in cm, and a camera in metres."""
+    rng = np.random.default_rng(6)
+    centre = np.array([120.0, -45.0, 310.0])
+
+    def change(number, channels):
+        depth, position = wall(rng, centre, 0.3)
+        for index, axis in enumerate("XYZ"):
+            channels[f"position.{axis}"] = position[..., index]
+        return {name: plane[: SIZE[0], : SIZE[1]] for name, plane in channels.items() if name != "nov.X"} | {"depth.Z": depth}
+
+    lr = write_frames(range(2), change=change)
+    table = tmp_path / "camera.csv"
+    table.write_text("frame,x,y,z\n0,1.2,-0.45,3.1\n1,1.2,-0.45,3.1\n")
+    report = CliRunner().invoke(stss, ["check", str(lr), "--camera", str(table)], catch_exceptions=False).output
+    assert (
+        "position and depth put it 100 times as far from (0, 0, 0) as --camera: positions and camera are in different" in report
+    )
+    assert "leave --camera out" not in report
+    assert "nov: " not in report
