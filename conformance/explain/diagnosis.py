@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conformance.answers.expected import Expected
+from conformance.cases.constants import constant_cases
 from conformance.cases.engine_inputs import ENGINE_STAGES, engine_inputs
 from conformance.cases.every_buffer import frame_cases
 from conformance.cases.large_inputs import large_inputs, network_case
@@ -104,9 +105,9 @@ def _others(judge: Judge, stage: str) -> list[_Answer]:
 
 
 def _telling_cases(stage: str) -> Sequence[Callable[[np.random.Generator], Any]]:
-    """The values of engines, and frames of any steps; for stages of the network random ones in several windows; for rrm a large frame."""
+    """Engines' values, constants, frames of any steps; random ones in several windows for the network's; a large one for rrm."""
     if stage in ENGINE_STAGES:
-        return (*engine_inputs(stage), *(frame_cases() if stage == "frame" else ()))
+        return (*engine_inputs(stage), *constant_cases(stage), *(frame_cases() if stage == "frame" else ()))
     if STAGES[stage].weights:
         return (partial(network_case, stage, TELLING_SIZE.get(stage, (40, 56))),)
     return large_inputs(stage, 1)

@@ -54,6 +54,14 @@ def test_mistakes_that_look_alike_in_the_smallest_case_are_told_apart():
     assert diagnose(judge, [error.value.finding]) == f"looks like: {mistake.what}"
 
 
+def test_a_limit_is_not_blamed_for_lost_bits():
+    """Where all numbers lie at their limit either gives this mask; the limit's own case tells them apart."""
+    mistake = find("holes_normals_in_half")
+    (result,) = run_suite(Judge(mistake.port()), ["holes"], only="comparisons_need_all_bits")
+    assert f"looks like: {mistake.what}" in result.message
+    assert "; or " not in result.message
+
+
 @pytest.mark.parametrize("name", ["erm_own_pixel_left_out", "erm_value_masked_twice"])
 def test_a_mistake_that_is_not_in_the_list_has_no_name(monkeypatch, name):
     """Its smallest failures look like those of others; the port's answers to larger cases tell them apart."""
