@@ -135,11 +135,17 @@ class Table:
         """The value of a key that must be true or false; false if it is missing."""
         return key in self.rest and cast(bool, self.take(key, "true or false", bool))
 
-    def end(self, keys: str = "") -> None:
+    def only(self, keys: str) -> None:
+        """Raise the error if there is a key that ``keys`` does not list; before a key is taken, or a misspelt one counts as missing."""
+        known = {*re.findall(r"\w+", keys)} - {"and", "the", "tables"}
+        for key in self.rest:
+            if key not in known:
+                raise self.error(f"{self.path}: {self.prefix}{key}: unknown key; known are {keys}{suggest(key, known)}")
+
+    def end(self) -> None:
         """Raise the error if a key is left over."""
         for key in self.rest:
-            near = suggest(key, {*re.findall(r"\w+", keys)} - {"and", "the", "tables"})
-            raise self.error(f"{self.path}: {self.prefix}{key}: unknown key" + (f"; known are {keys}{near}" if keys else ""))
+            raise self.error(f"{self.path}: {self.prefix}{key}: unknown key")
 
 
 def _float(value: float) -> float:

@@ -212,9 +212,15 @@ def _change(old: dict[str, Any], change: dict[str, Any]) -> dict[str, Any]:
 
 
 def _profile(path: Path, top: Table) -> Profile:
+    top.only("name, title, base, view, units_per_cm, color_domain, depth_normalisation and the tables "
+             "channels, motion, depth, normal, files, camera, constants, hints")  # fmt: skip
     channels, files, hints = top.table("channels"), top.table("files", optional=True), top.table("hints", optional=True)
     constants, camera = top.table("constants", optional=True), top.table("camera", optional=True)
-    profile = Profile(
+    for table in (channels, files, hints):
+        table.only(", ".join(BUFFERS))
+    constants.only(", ".join(CONSTANTS))
+    camera.only("attributes")
+    return Profile(
         name=top.text("name"),
         title=top.text("title"),
         path=path,
@@ -231,46 +237,36 @@ def _profile(path: Path, top: Table) -> Profile:
         hints={buffer: hints.text(buffer) for buffer in BUFFERS if buffer in hints.rest},
         view=top.text("view") if "view" in top.rest else "",
     )
-    for table in (channels, files, hints):
-        table.end(", ".join(BUFFERS))
-    constants.end(", ".join(CONSTANTS))
-    camera.end("attributes")
-    top.end("name, title, base, view, units_per_cm, color_domain, depth_normalisation and the tables "
-            "channels, motion, depth, normal, files, camera, constants, hints")  # fmt: skip
-    return profile
 
 
 def _motion(table: Table) -> MotionRule:
+    table.only("direction, unit, y, bias, scale")
     bias, scale = table.numbers("bias", 2), table.numbers("scale", 2)
-    rule = MotionRule(
+    return MotionRule(
         table.choice("direction", ("to_previous", "from_previous")),
         table.choice("unit", ("pixels", "uv", "ndc")),
         table.choice("y", ("up", "down")),
         (bias[0], bias[1]),
         (scale[0], scale[1]),
     )
-    table.end("direction, unit, y, bias, scale")
-    return rule
 
 
 def _depth(table: Table) -> DepthRule:
     kind = table.choice("kind", tuple(_DEPTH_KEYS))
+    table.only(", ".join(_DEPTH_KEYS[kind]))
     if kind == "device":
         near, far = table.number("near", positive=True), table.number("far", positive=True, infinite=True)
         rule = DepthRule(kind, math.inf, near, far, table.take("reversed", "true or false", bool))
         if far <= near:
             raise table.fail("far", f"more than near ({near})", far)
-    else:
-        rule = DepthRule(kind, table.number("background", positive=True, infinite=True))
-    table.end(", ".join(_DEPTH_KEYS[kind]))
-    return rule
+        return rule
+    return DepthRule(kind, table.number("background", positive=True, infinite=True))
 
 
 def _normal(table: Table) -> NormalRule:
+    table.only("bias, scale, background")
     background = None
     if "background" in table.rest:
         x, y, z = table.numbers("background", 3)
         background = x, y, z
-    rule = NormalRule(table.number("bias"), table.number("scale"), background)
-    table.end("bias, scale, background")
-    return rule
+    return NormalRule(table.number("bias"), table.number("scale"), background)

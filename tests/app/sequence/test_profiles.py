@@ -105,12 +105,12 @@ def test_a_profile_is_a_file_like_any_other(tmp_path):
         ('y = "down"', "", "motion.y: expected one of up, down, found nothing"),
         ("scale = [1, 1]", "scale = [1, nan]", "motion.scale: expected 2 numbers, found [1, nan]"),
         ('[["motion.X", "motion.Y"]]', '[["motion.X"]]', "channels.motion: expected a list of lists of 2 names"),
-        ("nov =", "NoV =", "channels.nov: expected a list of lists of 1 names each, found nothing"),
+        ("nov =", "NoV =", "channels.NoV: unknown key; known are color, motion"),
         ("[normal]", "[files]\nalbedo = 'x'\n[normal]", "files.albedo: unknown key; known are color, motion"),
         ("[normal]", "[constants]\nroughness = 'x'\n[normal]", "constants.roughness: expected a number, found 'x'"),
         ("[normal]", "[files]\nmotion = []\n[normal]", "files.motion: expected one line of text, or a list of them, found []"),
         ("[normal]", "[hints]\ndepth = ''\n[normal]", "hints.depth: expected one line of text, found ''"),
-        ('kind = "planar"', 'kind = "device"', "depth.near: expected a number > 0, found nothing"),
+        ('kind = "planar"', 'kind = "device"', "depth.background: unknown key; known are kind, near, far, reversed"),
         ("bias = 0\nscale = 1", "bias = 0\nscale = 1\nspace = 'view'", "normal.space: unknown key"),
         ("[normal]", "[normal", "cannot be read as TOML"),
     ],
@@ -148,6 +148,10 @@ def test_a_profile_may_say_only_what_it_changes(tmp_path):
         ('base = "stss"\nunit = 1', "unit: unknown key; known are name, title, base"),
         ('base = "stss"\nmotion = {unit = "texels"}', "motion.unit: expected one of pixels, uv, ndc, found 'texels'"),
         ('base = "stss"\nmotion = 3', "motion: expected a table, found 3"),
+        (
+            'base = "stss"\ndepth = {kind = "device", near = 0.1, far = inf, reverse = true}',
+            "depth.reverse: unknown key; known are kind, near, far, reversed; did you mean reversed?",
+        ),
     ],
 )
 def test_a_change_of_a_file_that_is_wrong_is_named_by_the_file(tmp_path, text, message):
