@@ -9,9 +9,11 @@ import unicodedata
 from collections import defaultdict
 from collections.abc import Collection, Iterable
 from contextlib import suppress
+from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
+from stss.images.headers import read_header
 from stss_ground.errors import InputError
 
 _SEPARATORS = "._- "
@@ -27,6 +29,9 @@ _FRACTION = re.compile(r"(.*[^\dvV]|)(\d+)\.", re.DOTALL)
 
 MAX_DIGITS = 9
 """Most digits of a frame number, not counting leading zeros; a longer number is a date or a hash."""
+
+LOOKED_INTO = 20
+"""Most folders in the place of a sequence whose images are looked at; some farms leave one for each frame."""
 
 Frames = dict[int, dict[str, Path]]
 """Frame number -> ending of the name before the number ("" for the file that buffers share) -> file."""
@@ -140,10 +145,21 @@ def _fractions(files: Iterable[NumberedFile]) -> str:
 def _below(folder: Path) -> str:
     """A note where a folder in this one has the images; else nothing."""
     with suppress(OSError):
-        for each in sorted(folder.iterdir()):
-            if each.is_dir() and any(file.suffix.lower() == ".exr" for file in each.iterdir()):
-                return f"; its folder {each.name} has EXR files: give that one, or put all frames of a shot into one folder"
+        below = (each for each in sorted(folder.iterdir()) if each.is_dir())
+        images = (next((file for file in sorted(each.iterdir()) if file.suffix.lower() == ".exr"), None) for each in below)
+        some = list(islice((image for image in images if image is not None), LOOKED_INTO))
+        if some:
+            name = max(some, key=_count_channels).parent.name
+            return f"; its folder {name} has EXR files: give that one, or put all frames of a shot into one folder"
     return ""
+
+
+def _count_channels(image: Path) -> int:
+    """Of a folder of truths and one of inputs, the inputs have more; 0 where it cannot be read."""
+    try:
+        return len(read_header(image).channels)
+    except InputError:
+        return 0
 
 
 def _pictures(folder: Path) -> str:

@@ -363,6 +363,7 @@ def open_sequence(
         raise next(frame.fault for frame in frames.values() if frame.fault)
     canvas = _canvas(path, first.display, frames.values())
     _require_buffers(path, table, frames, constants)
+    _require_fractions(next(frame for frame in frames.values() if frame.fault is None))
     settings = {
         "profile": hashlib.sha256(repr(replace(table, path=Path())).encode()).hexdigest(),
         "camera": None if camera is None else hashlib.sha256(camera.read_bytes()).hexdigest(),
@@ -449,6 +450,17 @@ def _canvas(path: Path, display: PixelWindow, frames: Iterable[RawFrame]) -> Pix
     if max(canvas.size) > MAX_SIDE or canvas.width * canvas.height * 4 * sum(BUFFERS.values()) > MAX_BYTES:
         raise InputError(f"{path}: data windows and display window {display} lie too far apart: together {canvas}")
     return canvas
+
+
+def _require_fractions(frame: RawFrame) -> None:
+    """Raise InputError if a plane that has fractions is stored in whole numbers, as renderers store object numbers."""
+    headers = {source.path: read_header(source.path) for source in frame.sources.values()}
+    for buffer, source in frame.sources.items():
+        for name in source.names:
+            if buffer not in CONSTANTS and headers[source.path].formats[name] == "uint32":
+                raise InputError(
+                    f"{source.path}: channel {name}: {buffer} is stored in whole numbers (uint); expected float or half"
+                )
 
 
 def _require_buffers(path: Path, profile: Profile, frames: Mapping[int, RawFrame], constants: Mapping[str, float]) -> None:

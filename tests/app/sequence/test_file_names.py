@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stss.images.read_write import read_rgb, write_rgb
+from stss.images.read_write import read_rgb, write_channels, write_rgb
 from stss.quality.output_and_truth import find_pairs
 from stss.sequence.find_files import find_frames, numbered_files
 from stss_ground.errors import InputError
@@ -75,6 +75,15 @@ def test_a_folder_of_folders_is_told(tmp_path):
     (tmp_path / "0001").mkdir()
     (tmp_path / "0001" / "beauty.exr").touch()
     with pytest.raises(InputError, match=r"no frames; .*; its folder 0001 has EXR files: give that one, or put all frames"):
+        find_frames(tmp_path, [""])
+
+
+def test_of_the_folders_in_a_folder_the_one_with_buffers_is_told(write_frames, tmp_path):
+    """And not the truth, whose name comes first."""
+    write_frames([1], size=(16, 24), folder="lr")
+    (tmp_path / "hr").mkdir()
+    write_channels(tmp_path / "hr" / "a.0001.exr", {name: np.zeros((4, 4), np.float32) for name in "RGB"})
+    with pytest.raises(InputError, match="; its folder lr has EXR files"):
         find_frames(tmp_path, [""])
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import OpenImageIO as oiio  # noqa: N813
 import pytest
 
-from stss.images.read_write import read_channels, write_channels
+from stss.images.read_write import read_channels, read_header, write_channels
 from stss.sequence.conventions import BACKGROUND_POSITION
 from stss.sequence.profiles import load_profile
 from stss.sequence.reader import open_sequence
@@ -285,3 +285,21 @@ def test_unreal_says_where_its_camera_was(tmp_path):
     frame = open_sequence(tmp_path, "unreal-mrq").load(1)
     assert np.abs(frame.nov - 1 / math.sqrt(3)).max() <= 2.0**-20
     np.testing.assert_array_equal(frame.motion[0, 0], [-6, 4])
+
+
+def test_a_plane_in_whole_numbers_is_told_by_its_type(write_frames):
+    """In place of a number that no float holds. The numbers of objects may be whole."""
+    folder = write_frames([1], size=(16, 24))
+    path = folder / "seq.0001.exr"
+    planes = read_channels(path, read_header(path).channels)
+    for whole in ("basecolor.G", "stencil.X"):
+        others = tuple(name for name in planes if name != whole)
+        pixels, bits = np.stack([planes[name] for name in others], axis=-1), planes[whole][..., None].astype(np.uint32)
+        write_parts(path, (pixels, others, {}), (bits, (whole,), {}))
+        if whole == "stencil.X":
+            np.testing.assert_array_equal(open_sequence(folder, "stss").load(1).stencil, planes[whole])
+        else:
+            with pytest.raises(
+                InputError, match=r"channel basecolor\.G: base_color is stored in whole numbers \(uint\); expected float or half"
+            ):
+                open_sequence(folder, "stss")
