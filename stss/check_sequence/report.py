@@ -44,6 +44,8 @@ LISTED = 8
 """Most frame numbers that a line lists."""
 BYTES_PER_PIXEL = 20
 """Of an input pixel: four pixels of three halves, compressed by zip."""
+START = 3.0
+"""Seconds until a process computes its first frame, with kernels that are compiled: imports, weights, the device."""
 SECONDS_PER_PIXEL = 5e-7
 """Of one core: 110 ms for 960 x 544 on two cores (docs/benchmarks.md), and files."""
 
@@ -152,10 +154,10 @@ def summary(numbers: list[int], size: tuple[int, int]) -> str:
     """Frames, sizes, and an estimate of the run's space and time."""
     height, width = size
     pixels = len(numbers) * height * width
-    space, seconds = pixels * BYTES_PER_PIXEL / 2**20, pixels * SECONDS_PER_PIXEL / available_threads()
+    space, seconds = pixels * BYTES_PER_PIXEL / 2**20, START + pixels * SECONDS_PER_PIXEL / available_threads()
     return (
         f"frames {numbers[0]} to {numbers[-1]}, {width} x {height} in, {2 * width} x {2 * height} out; "
-        f"about {max(1, round(space))} MiB, and {timedelta(seconds=max(1, round(seconds)))} on this processor"
+        f"about {max(1, round(space))} MiB, and {timedelta(seconds=round(seconds))} on this processor"
     )
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import click
 import pytest
 
+from stss.__main__ import main
 from stss.images.read_write import write_rgb
 from stss.run.job import run
 from stss.run.options import RunOptions
@@ -97,6 +98,18 @@ main()
         # The last: as it ends, when Python has given its handler back.
         assert process.returncode in (0, 130, -signal.SIGINT)
         assert not text.strip()
+
+
+def test_an_interrupt_of_a_command_says_nothing(monkeypatch, capsys, tmp_path):
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("stss.check_sequence.report.check", interrupted)
+    monkeypatch.setattr(sys, "argv", ["stss", "check", str(tmp_path)])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 130
+    assert capsys.readouterr().err == ""
 
 
 def test_frames_and_list_that_were_edited_by_hand_are_made_again(frames, tmp_path):
