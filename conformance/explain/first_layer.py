@@ -29,9 +29,9 @@ def first_departure(judge: Judge, finding: Finding) -> str:
     right = expect_layers(case.stage, judge.exactly(case.inputs, case.stage), case.weights, judge.arithmetic)
     there = [name for name in specs if name in got]
     for i, name in enumerate(there):
-        if (worst := largest(closer := right[name].closer(got[name]), got[name])) > 1:
+        if largest(right[name].closer(got[name]), got[name]) > 1:
             before = f"; the {i} before it are right" if i > 1 else f"; {there[0]} before it is right" if i else ""
-            return f"first departs at layer {describe(name, got[name], closer, worst)}{before}"
+            return f"first departs at layer {describe(name, got[name], right[name])}{before}"
     return f"none of the {len(there)} layers that the port returns departs, so what comes after {there[-1]} does"
 
 

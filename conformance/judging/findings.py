@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from conformance.answers.expected import Expected
+from conformance.answers.expected import Expected, largest
 from conformance.protocol.port import Case
 
 DENORMAL = 2.0**-126
@@ -144,24 +144,30 @@ def tally(records: Sequence[Record]) -> Counter[str]:
     })  # fmt: skip
 
 
-def describe(output: str, got: NDArray[Any], expected: Expected, worst: float) -> str:
+def describe(output: str, got: NDArray[Any], expected: Expected) -> str:
     """One line on the worst number of ``got``, and the share of it that departs.
 
     Args:
         output: ``stage.name``.
         got: the port's answer.
         expected: the right answer.
-        worst: the largest error / bound.
     """
     if got.shape != expected.want.shape:
         return f"{output}: expected shape {expected.want.shape}, got {got.shape}"
-    ratios = expected.ratios(got)
+    closer = expected.closer(got)
+    ratios, worst = closer.ratios(got), largest(closer, got)
     place = tuple(int(i) for i in np.unravel_index(int(ratios.argmax()), ratios.shape))
-    allowed = float(np.broadcast_to(np.asarray(expected.allowed), got.shape)[place])
+    allowed = float(np.broadcast_to(np.asarray(closer.allowed), got.shape)[place])
     at = place[:-1] if expected.vectors else place
     answer, want = (", ".join(f"{number:.9g}" for number in np.atleast_1d(a[at])) for a in (got, expected.want))
-    by = "wrong" if allowed <= DENORMAL else f"error / bound {worst:.3g}"
     share = float((ratios > 1).mean())
+    if closer is not expected:
+        return (
+            f"{output}: rms / bound {expected.together(got):.3g}, though error / bound is at most {largest(expected, got):.3g}; "
+            f"largest error at {list(place)}: got {answer}, expected {want}; {share:.1%} of {got.size} errors are above {allowed:.3g}, "
+            "the bound of the rms"
+        )
+    by = "wrong" if allowed <= DENORMAL else f"error / bound {worst:.3g}"
     return (
         f"{output}: {by} at {list(place)}: got {answer}, expected {want}"
         f"{f', allowed {allowed:.3g}' if allowed > DENORMAL else ''}; {share:.1%} of {got.size} numbers depart{_from(ratios > 1)}"

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from conformance.answers.expected import Expected
-from conformance.judging.findings import DepartureError
+from conformance.judging.findings import DepartureError, describe
 from conformance.judging.judge import RMS, TIERS, Judge
 from conformance.mistakes.precision import rounded_at
 from conformance.protocol.reference_copy import half, load
@@ -27,7 +27,7 @@ def worst(port, stage):
 
 @pytest.mark.parametrize(("stage", "layer", "what"), FAINT)
 def test_half_at_one_place_is_found_without_luck(stage, layer, what):
-    with pytest.raises(DepartureError, match="each within its own bound"):
+    with pytest.raises(DepartureError, match=r"rms / bound .* though error / bound is at most 0\."):
         worst(load("planted", *rounded_at(layer, what, half)), stage)
 
 
@@ -49,3 +49,14 @@ def test_the_limit_is_of_all_numbers_together():
     closer = expected.closer(all_)
     assert (closer.allowed, int((closer.ratios(all_) > 1).sum())) == (0.2, 100)
     assert expected.closer(want + 2) is expected, "beyond the bound of each number"
+
+
+def test_the_message_says_which_limit_is_exceeded():
+    """Only the ratio of the rms is beyond 1."""
+    got = np.zeros(100) + 0.3
+    got[7] = 0.9
+    words = describe("erm.reshaded", got, Expected(np.zeros(100), 1.0, rms=0.2))
+    assert words == (
+        "erm.reshaded: rms / bound 1.56, though error / bound is at most 0.9; largest error at [7]: got 0.9, expected 0; "
+        "100.0% of 100 errors are above 0.2, the bound of the rms"
+    )
