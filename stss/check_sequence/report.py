@@ -40,6 +40,8 @@ PAIRS = 3
 """Number of pairs of neighbouring frames that are read."""
 LOOKS = 5
 """Steps of looking at pixels, each of which reads the pairs."""
+KEPT_BYTES = 1 << 30
+"""Frames in memory: each of the looks takes much the same ones, and reading is most of the time."""
 LISTED = 8
 """Most frame numbers that a line lists."""
 BYTES_PER_PIXEL = 20
@@ -119,6 +121,7 @@ def check(
         findings += missing_frames(all_numbers)
         bar = partial(track, console=console, text="reading headers")
         sequence = replace(reading, profile=table, non_finite="mask").open(sequence_path, bar, keep_going=True)
+        sequence.keeps = KEPT_BYTES
         numbers = [n for n in sequence.numbers if frames is None or frames[0] <= n <= frames[1]]
         if not numbers:
             raise InputError(f"{sequence_path}: no frames from {frames}; it has {all_numbers[0]} to {all_numbers[-1]}")

@@ -63,6 +63,9 @@ class Sequence:
     background: Background
     settings: Mapping[str, object]
     tables: tuple[Path, ...]
+    keeps: int = field(default=0, init=False, repr=False)
+    """Bytes of frames that `load` may still keep, for callers that load frames several times and do not write to them."""
+    _kept: dict[tuple[object, ...], Buffers] = field(default_factory=dict[tuple[object, ...], Buffers], init=False, repr=False)
     _projections: dict[int, Projection | None] = field(default_factory=dict[int, "Projection | None"], init=False, repr=False)
 
     @property
@@ -134,9 +137,16 @@ class Sequence:
             InputError: the frame or a buffer of it is not there, a file cannot be read, or a value is not finite where
                 it must be.
         """
+        key = number, color, *also
+        if key in self._kept:
+            return self._kept[key]
         buffers = self._load(number, color=color, also=also)
         if self.background == "camera" and number - 1 in self.frames and not np.isfinite(buffers.depth).all():
-            return self._with_background(buffers)
+            buffers = self._with_background(buffers)
+        size = sum(plane.nbytes for plane in vars(buffers).values() if isinstance(plane, np.ndarray))
+        if size <= self.keeps:
+            self._kept[key] = buffers
+            self.keeps -= size
         return buffers
 
     def _with_background(self, buffers: Buffers) -> Buffers:

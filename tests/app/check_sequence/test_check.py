@@ -13,7 +13,7 @@ from stss.check_sequence.motion_convention import CHOICES
 from stss.check_sequence.report import check, missing_buffers, print_report
 from stss.images.read_write import read_channels, read_header, write_channels
 from stss.sequence.profiles import load_profile
-from stss.sequence.reader import SequenceOptions, open_sequence
+from stss.sequence.reader import Sequence, SequenceOptions, open_sequence
 from stss_ground.errors import InputError
 from tests.app.conftest import PLAIN, frame_channels, write_parts
 from tests.hostile.cases import call
@@ -85,6 +85,21 @@ def test_how_many_frames_were_looked_at_is_said_and_all_may_be(write_frames):
         "normal: 1 non-finite values, first in frame 13; a run refuses them; --non-finite mask takes them as 0"
     ]
     assert any(line.startswith("looked at: values of all frames") for line in texts(every, "note"))
+
+
+def test_no_frame_is_read_twice(write_frames, monkeypatch):
+    """But the first, whose camera is judged without its colour; with no room in memory each look reads its frames anew."""
+    loads, load = [], Sequence._load
+    monkeypatch.setattr(Sequence, "_load", lambda of, number, *, color=True, **more: (
+        loads.append((number, color)) or load(of, number, color=color, **more)
+    ))  # fmt: skip
+    folder = write_frames(range(8))
+    report = check(folder, SequenceOptions("stss"))
+    assert sorted({*loads}) == sorted(loads)
+    count = len(loads)
+    monkeypatch.setattr("stss.check_sequence.report.KEPT_BYTES", 0)
+    assert check(folder, SequenceOptions("stss")).findings == report.findings
+    assert len(loads) > 3 * count
 
 
 def test_half_rate_g_buffers_are_said_first(write_frames):

@@ -103,7 +103,7 @@ def test_frames_before_zero_run_in_order(write_frames, tmp_path):
     for some, more in ((range(-3, 0), ()), (range(-2, 0), ("--overwrite",))):
         part = "--frames", f"{some[0]}:{some[-1]}", "--cuts", "-4"
         assert not call("run", folder, "-o", tmp_path / "c", *PLAIN, *part, *more).returncode
-        assert {p.name for p in (tmp_path / "c").glob("*.exr")} == {f"frame.{n:04d}.exr" for n in some}
+        assert {p.name for p in (tmp_path / "c").glob("*.exr")} == {f"frame.{n:04d}.exr" for n in range(-3, 0)}
 
 
 def test_frames_before_zero_are_compared(tmp_path):
