@@ -97,13 +97,13 @@ def test_a_plane_of_the_frame_before_is_named_alone(request, plane, scene):
     assert len([text for text in warnings_of(mixed) if "jitter" not in text]) == 1
 
 
-def test_objects_with_an_outline_are_not_late(level):
+def test_objects_with_an_outline_are_not_late(frames):
     """Numbers that reach a pixel too far have edges where the previous frame had them, on one side of each object."""
 
     def widen(stencil):
         return np.max([np.roll(stencil, shift, (0, 1)) for shift in ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1))], axis=0)
 
-    assert not [text for text in warnings_of(replace(f, stencil=widen(f.stencil)) for f in level) if "previous frame" in text]
+    assert not [text for text in warnings_of(replace(f, stencil=widen(f.stencil)) for f in frames) if "previous frame" in text]
 
 
 def turned(degrees):
