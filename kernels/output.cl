@@ -69,7 +69,8 @@ INLINE float4 linear_of(const float4 e)
         q += q * ((square - fifth) / (3.0f * fifth + 2.0f * square));
     }
     const float4 power = 0.879415461f * (square * q);
-    return e <= 0.040449936f ? e * (1.0f / 12.92f) : power;
+    const float4 bright = e < 1.0f ? power : (float4)(1.0f);  // white stays white
+    return e <= 0.040449936f ? e * (1.0f / 12.92f) : bright;
 }
 
 kernel void decode(global const float4 *restrict image, global const float4 *restrict above,

@@ -13,6 +13,7 @@ from stss.images.color import transfer
 from stss.images.read_write import read_channels
 from stss.sequence.reader import open_sequence
 from stss.weights.file import load
+from stss_cl.image_space.output import CURVE_ERROR
 from stss_cl.network.network import Network
 from stss_cl.options import SKIPS
 from stss_ground.errors import InputError
@@ -51,6 +52,10 @@ def broken(name, place, value, frames):
     return change
 
 
+ALIKE = CURVE_ERROR + 8 * 2.0**-24
+"""Relative: the images are the same to the bit before the sRGB curve, whose host has roundings too (tests/cl/test_output.py)."""
+
+
 @pytest.fixture(scope="module")
 def backends():
     with pytest.MonkeyPatch.context() as patch:
@@ -77,7 +82,7 @@ def test_masked_values_end_in_finite_images_alike_everywhere(write_frames, backe
             assert np.isfinite(output.image).all()
             np.testing.assert_array_equal(output.valid, got["ref"].valid)
         np.testing.assert_array_equal(got["exact"].image, got["off"].image)
-        np.testing.assert_array_equal(got["cl"].image, got["ref"].image)
+        np.testing.assert_allclose(got["cl"].image, got["ref"].image, rtol=ALIKE, atol=0)
 
 
 REFUSED = [(name, number) for name in FAULTS if name != "what may be" for number in ((2,) if name == "color" else (3,))]
