@@ -307,11 +307,21 @@ class Judge:
             expected = {name: _finite(got) for name, got in outputs.items() if not np.isfinite(got).all()}
         else:
             self._remember(case, outputs)
+        try:
+            self._hold_all(stage, outputs, expected)
+        except WrongError as error:
+            raise error.of(case) from None
+
+    def _hold_all(self, stage: str, outputs: Outputs, expected: Mapping[str, Expected]) -> None:
+        """Hold every output, so that the report has a ratio of each; raise the WrongError of the first that is wrong."""
+        first: WrongError | None = None
         for name, right in expected.items():
             try:
                 self.holds(f"{stage}.{name}", outputs[name], right)
             except WrongError as error:
-                raise error.of(case) from None
+                first = first or error
+        if first is not None:
+            raise first
 
     def _remember(self, case: Case, outputs: Outputs) -> None:
         """Keep the largest cases: one that was made smaller until it barely fails tells few mistakes apart."""
@@ -326,8 +336,8 @@ class Judge:
             yield from self.agrees(stage, inputs, weights)
             return
         outputs = yield ask(stage, inputs, weights)
-        for name, want in reference(stage, self.exactly(inputs, stage), self._weights_of(weights)).items():
-            self.same(f"{stage}.{name}", outputs[name], want)
+        right = reference(stage, self.exactly(inputs, stage), self._weights_of(weights))
+        self._hold_all(stage, outputs, {name: self._exact(want) for name, want in right.items()})
 
     def rounds_either_way(
         self, stage: str, output: str, inputs: Mapping[str, NDArray[Any]], weights: Weights, layer: str
@@ -348,17 +358,19 @@ class Judge:
         if stage == "frame" and converted is not None:
             exact = network_inputs(exact, converted)
         for window in expect_windows(computed, exact, converted, self.arithmetic, outputs):
-            for name, (place, right) in window.outputs.items():
-                try:
-                    self.holds(f"{stage}.{name}", outputs[name][place], right)
-                except WrongError as error:
-                    at = f"in the window at row {window.rows.start}, column {window.columns.start} of the inputs"
-                    raise WrongError(f"{error.message}, {at}", error.output, None, None) from None
+            parts = {name: outputs[name][place] for name, (place, _) in window.outputs.items()}
+            try:
+                self._hold_all(stage, parts, {name: right for name, (_, right) in window.outputs.items()})
+            except WrongError as error:
+                at = f"in the window at row {window.rows.start}, column {window.columns.start} of the inputs"
+                raise WrongError(f"{error.message}, {at}", error.output, None, None) from None
 
     def same(self, output: str, got: NDArray[Any], want: NDArray[Any]) -> None:
         """Raise WrongError unless the numbers are equal; 0 equals -0, and a denormal number may be 0."""
-        want = np.asarray(want)
-        self.holds(output, got, Expected(want, self.arithmetic.flushed(want)))
+        self.holds(output, got, self._exact(np.asarray(want)))
+
+    def _exact(self, want: NDArray[Any]) -> Expected:
+        return Expected(want, self.arithmetic.flushed(want))
 
     def holds(self, output: str, got: NDArray[Any], expected: Expected) -> None:
         """Raise WrongError unless ``got`` is right; ``output`` is ``stage.name``, as in the table of bounds."""

@@ -19,6 +19,7 @@ from click.testing import CliRunner
 from conformance.answers.expected import Expected, largest
 from conformance.answers.network import expect_layers
 from conformance.answers.port_arithmetic import Arithmetic
+from conformance.judging.findings import DepartureError
 from conformance.judging.judge import TIERS, Judge, Tier, agreement
 from conformance.protocol import write_job
 from conformance.protocol.layers import LAYERS_OF
@@ -134,6 +135,19 @@ def test_a_failure_is_told_when_it_occurs(here):
     assert "stopped after 1 of" in outcome.output
     data = json.loads((here / "found.json").read_text())
     assert (data["complete"], data["passed"], len(data["tests"])) == (False, False, 1)
+
+
+def test_each_output_of_a_wrong_answer_is_compared():
+    """Not the first alone: later tests, of an answer against itself, would leave 0 for the others."""
+
+    class Wrong(ReferencePort):
+        def run(self, stage, inputs, weights=None):
+            return {name: array + 1 for name, array in super().run(stage, inputs, weights).items()}
+
+    judge, case = Judge(Wrong()), samples("encoder")[0]
+    with pytest.raises(DepartureError, match=r"encoder\.x1"):
+        judge.check(agreement, case)
+    assert all(judge.record.worst[f"encoder.{name}"] > 1 for name in ("x1", "x2", "x3", "x4"))
 
 
 def test_a_stage_that_is_required_and_lacking_is_a_failure(here):
