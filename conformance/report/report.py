@@ -21,7 +21,7 @@ from conformance.protocol.stages import STAGES
 from conformance.protocol.weights_format import VERSIONS
 from conformance.report.markup import failure_of, number_of, row_of, table_of
 from conformance.report.versions import versions_of_cases
-from conformance.suite.run_suite import JUDGED, REQUIRED, SEQUENCE, SUITE
+from conformance.suite.run_suite import JUDGED, OF_THE_RUN, SEQUENCE, SUITE
 from stss_ground.output.write_whole import write_named
 from stss_ground.pages.page import page
 from stss_ground.terminal import printable
@@ -44,7 +44,7 @@ def print_results(results: Sequence[TestResult], console: Console) -> None:
         ("error / bound", "left"),
     ):
         table.add_column(name, justify=justify, no_wrap=name != "error / bound")
-    for stage, some in by_stage([r for r in results if r.id not in (JUDGED, REQUIRED)]).items():
+    for stage, some in by_stage([r for r in results if r.id not in OF_THE_RUN]).items():
         if all(r.outcome == "skipped" for r in some):
             table.add_row(stage, str(len(some)), "-", "-", "the port lacks it")
             continue

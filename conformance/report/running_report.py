@@ -12,6 +12,7 @@ from conformance.judging.judge import Judge
 from conformance.report.failures import keep_failure
 from conformance.report.junit import about_run, write_junit
 from conformance.report.report import judged_on, passed, print_results, to_json, write_json, write_page
+from conformance.suite.run_suite import OF_THE_RUN
 from stss_ground.errors import InputError
 from stss_ground.progress import Advance, show_progress
 from stss_ground.terminal import Terminal, echo
@@ -53,7 +54,7 @@ class RunningReport:
             self._advance = self._bar.enter_context(show_progress(self._terminal, total, "tests"))
         self.results.append(result)
         self._total = total
-        count = f"{len(self.results)} of {total} tests"
+        count = f"{self._count()} of {total} tests" if result.id not in OF_THE_RUN else "the run as a whole"
         self._advance(f"{result.id}: {result.outcome}")
         if result.outcome in ("failed", "error"):
             echo(f"{count}: {result.outcome}: {result.id}: {result.message}")
@@ -62,6 +63,10 @@ class RunningReport:
             if result.record.failure is not None:
                 self._keep(result.id, result.record.failure)
         self.write()
+
+    def _count(self) -> int:
+        """The tests that ended; the results of the run as a whole are no tests."""
+        return sum(result.id not in OF_THE_RUN for result in self.results)
 
     def _keep(self, name: str, failure: Failure) -> None:
         """Store a failure, and print how it is run again; where that cannot be, the run goes on all the same."""
@@ -86,7 +91,7 @@ class RunningReport:
         Returns:
             Whether the port passes.
         """
-        complete = len(self.results) >= self._total > 0
+        complete = self._count() >= self._total > 0
         self.write(complete=complete)
         print_results(self.results, Terminal())
         if page is not None:
@@ -96,7 +101,7 @@ class RunningReport:
         for line in judged_on(self._judge, self.results):
             echo(line)
         if not complete:
-            echo(f"stopped after {len(self.results)} of {self._total} tests")
+            echo(f"stopped after {self._count()} of {self._total} tests")
         return complete and passed(self.results)
 
     def write(self, *, complete: bool = False) -> None:

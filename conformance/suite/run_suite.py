@@ -32,6 +32,8 @@ LARGE = "large_frames", "users_size"
 """Part of the names of tests of large frames."""
 REQUIRED = "suite.required_stages_are_there"
 """Id of the result that is added where the port lacks one."""
+OF_THE_RUN = JUDGED, REQUIRED
+"""Ids of the results that are of no test."""
 
 
 def run_suite(
