@@ -6,10 +6,11 @@ from __future__ import annotations
 from dataclasses import replace
 from time import monotonic
 
-from conformance.judging.findings import Failure
+from conformance.judging.findings import Failure, Finding
 from conformance.judging.judge import Body, Judge
 
 UNSTABLE = "differs from run to run"
+CHANGES = "the port's answers change from run to run: uninitialised memory, a race, or state?"
 AGAIN = 3
 """Runs in which a case must fail after others, each time, before the message says that it depends on them; a race does not."""
 ALONE = 20
@@ -19,7 +20,7 @@ MOST_SECONDS = 60.0
 
 
 def confirm(judge: Judge, body: Body, small: Failure, first: Failure) -> Failure:
-    """Confirm a failure; its message says if it does not fail alone.
+    """Confirm a failure; its message says if it does not fail alone, or fails with other bits.
 
     Args:
         judge: has the port.
@@ -31,7 +32,10 @@ def confirm(judge: Judge, body: Body, small: Failure, first: Failure) -> Failure
         The smallest case if that fails alone. Otherwise the first case that failed, with as few of the cases before it as it needs.
     """
     if (again := fails(judge, body, replace(small, before=()))) is not None:
-        return again
+        # Memory that was not written holds other numbers after other cases: the first failure had some before it.
+        alone = fails(judge, body, replace(first, before=())) if first.drawn_case is not small.drawn_case else again
+        changes = alone is None or _differs(first.finding, alone.finding) or _differs(small.finding, again.finding)
+        return _with_words(again, CHANGES) if changes else again
     few = 1
     while first.before:
         before = first.before[-few:]
@@ -45,6 +49,13 @@ def confirm(judge: Judge, body: Body, small: Failure, first: Failure) -> Failure
             break
         few *= 2
     return _count_failures(judge, body, replace(first, before=()))
+
+
+def _differs(one: Finding, other: Finding) -> bool:
+    """Whether two answers to a case have other bits, or are wrong in another output."""
+    if one.got is None or other.got is None:
+        return False
+    return one.output != other.output or one.got.tobytes() != other.got.tobytes()
 
 
 def _count_failures(judge: Judge, body: Body, failure: Failure) -> Failure:

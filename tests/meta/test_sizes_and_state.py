@@ -254,6 +254,25 @@ def test_one_in_50_depends_on_nothing_and_is_counted():
     assert max(counts) > 0, counts
 
 
+class Unwritten(Chance):
+    """Every answer is wrong, each by other numbers, or all by the same."""
+
+    def __init__(self, changes):
+        super().__init__()
+        self.changes = changes
+
+    def run(self, stage, inputs, weights=None):
+        right = ReferencePort.run(self, stage, inputs, weights)
+        return {**right, "warped": right["warped"] + np.float32(self.random.random() + 1 if self.changes else 1)}
+
+
+@pytest.mark.parametrize("changes", [True, False])
+def test_answers_that_are_always_wrong_with_other_bits_are_told_from_a_mistake(changes):
+    judge = Judge(Unwritten(changes), Tier("some", 20, 2))
+    (failure,) = run_suite(judge, ["warp"], only="agrees_with_the_reference")
+    assert ("; the port's answers change from run to run" in failure.message) == changes, failure.message
+
+
 def test_repeats_find_a_race_in_few_cases():
     judge = Judge(Chance(), Tier("few", 20, 2), repeat=40, shrink=False)
     assert any(result.outcome == "failed" for result in run_suite(judge, ["warp"], first_only=True))
