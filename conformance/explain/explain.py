@@ -37,6 +37,8 @@ def explain(judge: Judge, body: Body) -> Failure:
             return instead
 
     record, smallest = judge.record, judge.failure()
+    if judge.is_silent(smallest.finding.case.stage):
+        return smallest
     first = record.first or smallest
     judge.record = Record()
     failure = attempt(lambda: confirm(judge, body, smallest, first), smallest)

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -31,6 +31,8 @@ MOST_BEFORE = BATCH - 1
 """Most cases that are remembered as those before a failure; together with the failing case they fill one run of a program."""
 OTHERS = 6
 """Cases, besides a failure, that a mistake must also explain."""
+MOST_SILENT = 2
+"""Cases in a row that a program of one stage may leave unanswered for the whole of its time; the first is asked at two starts."""
 MOST_ROUNDED = 4
 """Most inputs that are remembered in the form that the port gets."""
 MOST_WEIGHTS = 128
@@ -94,6 +96,7 @@ class Judge:
         self.tell: Callable[[Finding], None] = lambda _: None
         self.near: dict[str, float] = {}
         self.answers: list[tuple[Case, Outputs]] = []
+        self._silent: Counter[str] = Counter()
         self._before: deque[Any] = deque(maxlen=MOST_BEFORE)
         self._rounded: deque[tuple[Arrays, str, dict[str, NDArray[Any]]]] = deque(maxlen=MOST_ROUNDED)
         self._weights: dict[int, tuple[Weights, Weights]] = {}
@@ -109,6 +112,10 @@ class Judge:
     def is_program(self) -> bool:
         """Whether the port computes many cases at one start."""
         return self.abilities.run_many is not None
+
+    def is_silent(self, stage: str) -> bool:
+        """Whether the program has answered none of the stage's last cases in time: asking on would take hours."""
+        return self._silent[stage] >= MOST_SILENT
 
     def check(self, body: Body, *cases: Any) -> None:
         """Run a property on some of its cases; DepartureError if it does not hold, with the failure in ``record``."""
@@ -222,6 +229,8 @@ class Judge:
         if answer is None:
             return None
         self.record.count(sizes)
+        silent = isinstance(answer, PortError) and answer.silent
+        self._silent[case.stage] = self._silent[case.stage] + 1 if silent else 0
         try:
             if isinstance(answer, PortError):
                 raise answer

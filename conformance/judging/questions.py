@@ -83,6 +83,8 @@ def _run_once(name: str, run_many: RunMany, cases: Sequence[Case]) -> list[Answe
         (alone,) = _run_once(name, run_many, [cases[at]])
         if not isinstance(alone, PortError):
             alone = PortError(f"passes alone, but failed as one of {len(cases)} in a job: {error}")
+        elif not error.silent:
+            alone.silent = False
         return [alone if number == at else None for number in range(len(cases))]
     return [_lacking(name, case) if isinstance(each, Unsupported) else each for case, each in zip(cases, answers, strict=True)]
 

@@ -158,6 +158,8 @@ class _Search:
         if self._right is not None and self._count <= self._right:
             return
         self._look_at_the_time()
+        if self.smallest is not None and self._judge.is_silent(self.smallest.finding.case.stage):
+            raise EnoughError
         try:
             self._judge.check(self._body, case)
         except DepartureError:

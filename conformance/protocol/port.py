@@ -28,11 +28,12 @@ class PortError(RuntimeError):
 
     Attributes:
         at: number of the case of a job at which it failed, as far as that can be seen.
+        silent: whether its time was over before it had answered any case.
     """
 
-    def __init__(self, message: str, at: int | None = None):
+    def __init__(self, message: str, at: int | None = None, *, silent: bool = False):
         super().__init__(message)
-        self.at = at
+        self.at, self.silent = at, silent
 
 
 @contextmanager

@@ -14,7 +14,7 @@ from typing import TypeVar
 from conformance.protocol.job_folder import JobError, require_real, require_unchanged, stamps_of_inputs
 from conformance.protocol.own_session import MOST_SAID, Ending, describe, run_alone
 from conformance.protocol.port import Case, PortError
-from conformance.protocol.served import Server
+from conformance.protocol.served import Server, out_of_time
 
 T = TypeVar("T")
 MEMORY = Path("/dev/shm")
@@ -87,7 +87,8 @@ class Program:
                 results.append(read(job / f"{number:04d}", number))
         except JobError as error:
             at = len(results) if ran else _first_unanswered(job, len(cases))
-            raise PortError(f"{self.name}: {self._put_away(job, str(error))}", at) from error
+            silent = at == 0 and str(error) == out_of_time(self._timeout)
+            raise PortError(f"{self.name}: {self._put_away(job, str(error))}", at, silent=silent) from error
         except BaseException:
             shutil.rmtree(job, ignore_errors=True)
             raise
@@ -169,7 +170,5 @@ def _first_unanswered(job: Path, count: int) -> int | None:
 def _fault_of(ending: Ending, timeout: float) -> str:
     """The reason to reject all of the program's outputs; "" if there is none."""
     if ending.status is None:
-        return (
-            f"stopped after {timeout:g} s" if not ending.has_talked else f"stopped: more than {MOST_SAID >> 20} MiB on its output"
-        )
+        return out_of_time(timeout) if not ending.has_talked else f"stopped: more than {MOST_SAID >> 20} MiB on its output"
     return describe(ending.status) if ending.status != 0 else ""

@@ -26,6 +26,11 @@ READY_SECONDS = 10.0
 MOST_LINE = 1 << 16
 
 
+def out_of_time(timeout: float) -> str:
+    """The fault of a program that has not ended its job in time."""
+    return f"stopped after {timeout:g} s"
+
+
 class Server:
     """A program that serves; close it at the end.
 
@@ -101,7 +106,7 @@ class Server:
             if self._too_much():
                 return f"stopped: more than {MOST_SAID >> 20} MiB on its output"
             if time.monotonic() > end:
-                return f"stopped after {timeout:g} s"
+                return out_of_time(timeout)
 
     def _ending(self) -> str:
         with suppress(subprocess.TimeoutExpired):

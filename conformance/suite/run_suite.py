@@ -7,6 +7,7 @@ import contextlib
 import io
 import os
 import sys
+from collections import Counter
 from collections.abc import Callable, Generator, Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -32,7 +33,10 @@ LARGE = "large_frames", "users_size"
 """Part of the names of tests of large frames."""
 REQUIRED = "suite.required_stages_are_there"
 """Id of the result that is added where the port lacks one."""
-OF_THE_RUN = JUDGED, REQUIRED
+ANSWERED = "suite.programs_answer_in_time"
+"""Id of the result that is added where a program did not, and the rest of its stage was not judged."""
+NOT_ASKED = "not judged: the program has not answered the stage's last cases in time"
+OF_THE_RUN = JUDGED, REQUIRED, ANSWERED
 """Ids of the results that are of no test."""
 
 
@@ -151,6 +155,8 @@ class SuitePlugin:
         needs = stage_needed(_stage(request.node))
         if needs not in self._judge.stages:
             pytest.skip(f"the port has no stage {needs}")
+        if self._judge.is_silent(needs):
+            pytest.skip(NOT_ASKED)
         self._judge.begin()
         return self._judge
 
@@ -183,6 +189,11 @@ class SuitePlugin:
         if reasons := [f"{words} {', '.join(sorted(lacking))}" for words, lacking in lacks.items() if lacking]:
             words = "The port has the stages that it is required to have, and they are judged."
             self._add(REQUIRED, words, "; ".join(reasons))
+        left = Counter(result.stage for result in self.results if result.message.endswith(NOT_ASKED))
+        if left:
+            words = ", ".join(f"{count} tests of stage {stage}" for stage, count in left.items())
+            message = f"not judged: {words}: the program answered no case in time, several times in a row; see --timeout"
+            self._add(ANSWERED, "A program answers in time.", message)
         if self.fault or len(self.results) < self._total or any(_is_judged(result) for result in self.results):
             return
         stages = sorted({result.stage for result in self.results} & set(SUITE), key=SUITE.index)

@@ -100,3 +100,11 @@ def test_a_program_that_fails_everywhere_is_no_port(judged, tmp_path):
     assert words in str(result.exception)
     assert "no such device" in str(result.exception)
     assert not list((tmp_path / "jobs").iterdir())
+
+
+def test_a_program_that_hangs_is_asked_a_few_times_and_not_for_every_test(judged):
+    """The rest of the stage is not judged, in one line."""
+    result = judged("import time; time.sleep(99)", ["rrm"], "--stages", "rrm", "--timeout", "1", serves=False)
+    assert result.exit_code == 1
+    assert result.output.count("failed: rrm.") == 1, result.output
+    assert "the run as a whole: failed: suite.programs_answer_in_time: not judged: 2 tests of stage rrm: " in result.output
