@@ -21,11 +21,7 @@ kernel void move(global const float *restrict plane, global const float2 *restri
     if (x >= width || y >= height) return;
     const int pixel = y * width + x;
     const Taps at = taps(follow(motion[pixel], x, y, height, width), height, width);
-    for (int c = 0; c < channels; ++c) {
-        global const float *restrict nw = plane + at.nw * channels + c, *restrict sw = nw + at.below * channels;
-        const int right = at.right * channels;
-        moved[pixel * channels + c] = BILINEAR(nw[0], nw[right], sw[0], sw[right], at.fx, at.fy);
-    }
+    bilinear_all(plane, at, channels, moved + pixel * channels);
 }
 
 kernel void enlarge(global const float *restrict plane, global float *restrict enlarged, const int channels,

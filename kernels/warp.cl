@@ -21,10 +21,5 @@ kernel void warp(global const float *restrict color, global const float2 *restri
     const int pixel = y * width + x;
     const Place place = follow(motion[pixel], x, y, height, width);
     inside[pixel] = leads_inside(place, height, width);
-    const Taps at = taps(place, height, width);
-    for (int c = 0; c < CHANNELS; ++c) {
-        global const float *restrict nw = color + at.nw * CHANNELS + c, *restrict sw = nw + at.below * CHANNELS;
-        const int right = at.right * CHANNELS;
-        warped[pixel * CHANNELS + c] = BILINEAR(nw[0], nw[right], sw[0], sw[right], at.fx, at.fy);
-    }
+    bilinear_all(color, taps(place, height, width), CHANNELS, warped + pixel * CHANNELS);
 }
