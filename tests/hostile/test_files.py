@@ -265,6 +265,11 @@ def test_overwrite_of_some_frames_leaves_the_others(finished_run, out, demo):
     assert contents(out) == before
     assert call(*words).returncode == 0
     assert contents(out) == contents(finished_run)
+    # Frames within the range may have any settings: they are replaced.
+    for path in (*out.glob("frame.000[013].exr"), *(out / "holes").iterdir()):
+        path.unlink()
+    assert call(*words, "--depth", "clip").returncode == 0
+    assert contents(out)[name] != contents(finished_run)[name]
 
 
 DAMAGE = {

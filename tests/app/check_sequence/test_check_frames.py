@@ -97,6 +97,14 @@ def test_a_plane_of_the_frame_before_is_named_alone(request, plane, scene):
     assert len([text for text in warnings_of(mixed) if "jitter" not in text]) == 1
 
 
+@pytest.mark.parametrize("scene", ["object", "interface", "pan"])
+def test_where_the_camera_rests_nothing_is_late(scene):
+    """Most silhouettes are then those of both frames."""
+    views = [render(SCENES[scene], number, 54, 96) for number in NUMBERS]
+    rows = [stss.Buffers(n, **{of: np.float32(plane) for of, plane in vars(view).items()}) for n, view in enumerate(views)]
+    assert not [text for text in warnings_of(rows) if "previous frame" in text]
+
+
 def test_objects_with_an_outline_are_not_late(frames):
     """Numbers that reach a pixel too far have edges where the previous frame had them, on one side of each object."""
 

@@ -136,6 +136,18 @@ def test_resume_keeps_what_is_right_and_makes_the_rest(threads, frames, tmp_path
         assert files(out) == whole
 
 
+def test_overwrite_of_some_frames_leaves_the_others(threads, frames, tmp_path):
+    threads()
+    out = tmp_path / "out"
+    in_one_process(frames, out)
+    whole = files(out)
+    with pytest.raises(InputError, match="transfer srgb, not none: --overwrite --frames 3:4 would mix two runs"):
+        on_cluster(frames, out, overwrite=True, frames=(3, 4), transfer="none")
+    (out / "frame.0003.exr").unlink()
+    on_cluster(frames, out, overwrite=True, frames=(3, 4))
+    assert files(out) == whole
+
+
 def test_a_bad_frame_is_reported_as_in_one_process(threads, write_frames, tmp_path):
     def spoil(number, channels):
         if number in (13, 19):

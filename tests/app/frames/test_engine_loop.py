@@ -65,6 +65,7 @@ def with_value(name, value):
         (with_value("color", np.nan), r"color: expected finite numbers, found nan at \(2, 3, 0\) and 2 more"),
         (with_value("depth", np.nan), "depth: expected numbers, found nan"),
         (with_value("depth", -4), "depth: expected values > 0, found -4"),
+        (with_value("base_color", -0.7), r"base_color: expected values >= 0, found -0\.7 at \(2, 3, 0\) and 2 more$"),
         (with_value("base_color", 200), "base_color: expected values <= 1, found 200"),
         (with_value("normal", 127), "normal: expected values <= 2, found 127"),
         (lambda b: replace(b, motion=b.motion[..., :1]), r"motion: expected shape \(16, 24, 2\), found \(16, 24, 1\)"),

@@ -13,7 +13,7 @@ from stss.images import read_write as images
 from stss.images.headers import read_header
 from stss.quality.metrics import to_8bit
 from stss_ground.errors import InputError
-from tests.app.conftest import write_parts
+from tests.app.conftest import write_parts, write_raw
 
 
 def planes(*names, size=(9, 7), seed=0):
@@ -56,6 +56,17 @@ def test_what_a_compression_changes_is_known(tmp_path, kind, number_type):
     channels, expected = (images.read_channels(tmp_path / path, names) for path in ("a.exr", "b.exr"))
     changes = [name for name in names if not np.array_equal(channels[name], expected[name])]
     assert [name for name in names if header.lossy(name)] == changes
+
+
+def test_a_signalling_nan_is_read_as_a_quiet_one(tmp_path):
+    """Before a cast, at which NumPy warns of one."""
+    plane = np.ones((3, 5), np.float32)
+    plane.view(np.uint32)[1, 2] = 0x7FA00000
+    write_raw(tmp_path / "a.exr", {"depth.Z": plane, "R": np.ones((3, 5), np.float32)})
+    read = images.read_channels(tmp_path / "a.exr", ["depth.Z"])["depth.Z"]
+    assert np.isnan(read).sum() == 1
+    assert np.isnan(read[1, 2])
+    assert read.copy().view(np.uint32)[1, 2] & 0x400000
 
 
 def test_whole_numbers_keep_their_value(tmp_path):

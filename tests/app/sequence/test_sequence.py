@@ -43,6 +43,19 @@ def test_frames_are_found_and_read_as_written(write_frames):
         open_sequence(folder / "no", "stss")
 
 
+def test_frames_that_are_kept_are_those_that_were_asked_for(write_frames):
+    """With colour, without it, with more planes; and nothing beyond the room for them."""
+    sequence = open_sequence(write_frames([0, 1]), "stss")
+    sequence.keeps = 1 << 20
+    first = sequence.load(0)
+    assert sequence.load(0) is first
+    assert sequence.load(0, color=False).color is None
+    assert sequence.load(0, also=["nov"]).carried.keys() == {"nov.X"}
+    assert sequence.load(0) is first
+    sequence.keeps = 0
+    assert sequence.load(1) is not sequence.load(1)
+
+
 def test_a_buffer_that_one_frame_lacks(write_frames):
     folder = write_frames([1, 2, 3], change=lambda n, c: c if n != 2 else {k: v for k, v in c.items() if k != "motion.X"})
     sequence = open_sequence(folder, "stss")
