@@ -23,7 +23,7 @@ from stss.cluster.run import run_on_cluster
 from stss.frames.backends import open_backend
 from stss.frames.compute_options import ComputeOptions
 from stss.images.color import chromaticities, same_primaries
-from stss.run.frame_job import FrameReport
+from stss.run.frame_job import FrameReport, describe, require_one_run
 from stss.run.job import Summary, plan
 from stss.run.job import run as run_sequence
 from stss.run.options import RunOptions
@@ -82,7 +82,7 @@ def run(
     reads = [Path(weights)]
     loaded = choose_weights(weights, frames, _tell)
     # The user's mistakes are said before a device is opened, which may take a minute.
-    plan(frames, out, options, reads)
+    require_one_run(plan(frames, out, options, reads).folder, options, describe(frames, options, "", "", loaded.label))
     first, last = options.frames or (frames.numbers[0], frames.numbers[-1])
     start, tally = time.monotonic(), Tally()
     try:

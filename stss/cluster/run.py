@@ -11,7 +11,7 @@ from pathlib import Path
 
 from stss.cluster.chunk import Chunk, Engine, Introduction, Work, compute_chunk, introduce
 from stss.cluster.workers import Workers, connect
-from stss.run.frame_job import FrameReport, already_written, describe, keep_outside, keys_of
+from stss.run.frame_job import FrameReport, already_written, describe, keep_outside, keys_of, require_one_run
 from stss.run.job import REFUSAL, RunPlan, Summary, plan
 from stss.run.options import RunOptions
 from stss.sequence.reader import Sequence as Frames
@@ -56,13 +56,14 @@ def run_on_cluster(
             again.
     """
     run_plan = plan(sequence, out, options, reads)
+    # The workers alone know the method.
+    require_one_run(run_plan.folder, options, describe(sequence, options, "", "", engine.loaded.label))
     work = Work(VERSION, sequence, run_plan.rendered, out, options, engine)
     with (
         connect(address) as workers,
         run_plan.folder.open(refusal=None if options.resume or options.overwrite else REFUSAL),
     ):
-        # The workers alone know the method.
-        keep_outside(run_plan.folder, options, describe(sequence, options, "", "", engine.loaded.label))
+        keep_outside(run_plan.folder, options)
         summary = _Run(workers, work, run_plan, on_frame).run()
         run_plan.folder.finish(remove_others=options.overwrite)
     return summary

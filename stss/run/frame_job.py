@@ -22,7 +22,7 @@ from stss.run.pipeline import overlap
 from stss.run.window import Keys, Window
 from stss.sequence.reader import Sequence
 from stss_ground.errors import InputError
-from stss_ground.output.folder import OutputFolder
+from stss_ground.output.folder import SUMS, OutputFolder
 from stss_ground.version import VERSION
 from stss_ref import SPEC_VERSION
 from stss_ref.schedule import FrameKind, schedule
@@ -258,11 +258,18 @@ def settings_of(metadata: Mapping[str, Value], suffix: str) -> dict[str, str]:
     return {name: str(metadata.get(f"stss:{name}", "none")) for name in SETTINGS} | {"format": suffix}
 
 
-def keep_outside(folder: OutputFolder, options: RunOptions, metadata: Mapping[str, Value]) -> None:
-    """Let ``--overwrite`` of some frames leave those of an earlier run that lie outside of them.
+def keep_outside(folder: OutputFolder, options: RunOptions) -> None:
+    """Let ``--overwrite`` of some frames leave those of an earlier run that lie outside of them; ``folder`` is open."""
+    for name in folder.sums():
+        if options.frames is not None and not options.frames[0] <= number_of(name) <= options.frames[1]:
+            folder.keep(name)
+
+
+def require_one_run(folder: OutputFolder, options: RunOptions, metadata: Mapping[str, Value]) -> None:
+    """Refuse ``--overwrite`` of some frames where those outside of them were made with other settings.
 
     Args:
-        folder: the run's, open.
+        folder: the run's; nothing is written.
         options: the user's choices.
         metadata: of the frames to write, see `describe`; what is empty is not compared.
 
@@ -273,12 +280,8 @@ def keep_outside(folder: OutputFolder, options: RunOptions, metadata: Mapping[st
         return
     first, last = options.frames
     wanted = settings_of(metadata, options.format)
-    for name in folder.sums():
-        path = folder.path / name
-        if first <= number_of(name) <= last or not path.is_file():
-            continue
-        folder.keep(name)
-        if path.parent != folder.path:  # the holes of a frame
+    for path in folder.present():
+        if path.parent != folder.path or path.name == SUMS or first <= number_of(path.name) <= last:
             continue
         try:
             found = settings_of(read_header(path).attributes, path.suffix[1:])

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from stss.frames.backends import Backend
 from stss.frames.output import choose_rendered
-from stss.run.frame_job import HOLES, FrameJob, FrameReport, Outcome, already_written, keep_outside
+from stss.run.frame_job import HOLES, FrameJob, FrameReport, Outcome, already_written, keep_outside, require_one_run
 from stss.run.options import RunOptions
 from stss.sequence.reader import Sequence
 from stss_ground.errors import InputError
@@ -86,9 +86,10 @@ def run(
     folder = run_plan.folder
     job = FrameJob.of(sequence, run_plan.rendered, options, backend, weights, folder, partial(already_written, folder, options))
     summary = Summary([])
+    require_one_run(folder, options, job.metadata)
 
     with folder.open(refusal=None if options.resume or options.overwrite else REFUSAL):
-        keep_outside(folder, options, job.metadata)
+        keep_outside(folder, options)
         if backend.window is None:
             for number in range(sequence.numbers[0], run_plan.numbers[0]):
                 job.compute(job.read(number))

@@ -262,6 +262,9 @@ def test_overwrite_of_some_frames_leaves_the_others(finished_run, out, demo):
     words = ("run", demo / "frames", "-o", out, "--overwrite", "--frames", "2:2", *PLAIN)
     refused(call(*words, "--depth", "clip"), "frame.0000.exr: depth scale, not clip: --overwrite --frames 2:2 would mix two runs")
     refused(call(*words, "--format", "png"), "frame.0000.exr: format exr, not png")
+    # And before a device is opened, whose kernels may take a minute.
+    before_device = ("run", demo / "frames", "-o", out, "--overwrite", "--frames", "2:2", "--device", "no such")
+    refused(call(*before_device), "would mix two runs")
     assert contents(out) == before
     assert call(*words).returncode == 0
     assert contents(out) == contents(finished_run)
