@@ -70,10 +70,21 @@ def pytest_configure(config: pytest.Config) -> None:
     config.pluginmanager.register(SuitePlugin(judge, failures, set(SUITE), on_result=keep), NAME)
 
 
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node: Any) -> None:
+    """With pytest-xdist the workers have the results: take what one of them said at its end; one that crashed said nothing."""
+    plugin: Any = node.config.pluginmanager.get_plugin(NAME)
+    judged, error = getattr(node, "workeroutput", {}).get(NAME, (False, None))
+    plugin.judged_elsewhere |= judged
+    plugin.error = plugin.error or error
+
+
 @pytest.hookimpl(trylast=True)
 def pytest_sessionfinish(session: pytest.Session) -> None:
     """A run that compared nothing with a bound, or whose failures could not be kept, does not pass."""
     plugin: Any = session.config.pluginmanager.get_plugin(NAME)
+    if plugin is not None and hasattr(session.config, "workeroutput"):
+        session.config.workeroutput[NAME] = plugin.has_judged, plugin.error and str(plugin.error)
     if plugin is not None and session.exitstatus == pytest.ExitCode.OK and _amiss(plugin):
         session.exitstatus = pytest.ExitCode.TESTS_FAILED
 

@@ -145,9 +145,16 @@ class SuitePlugin:
         self._stdout = sys.stdout
         self._session: pytest.Session | None = None
         self.results: list[TestResult] = []
+        self.judged_elsewhere = False
+        """Whether another process of pytest-xdist judged something; the results are there."""
         self.fault = ""
         self.error: Exception | None = None
         """The error of `on_result`: through pytest it would be an internal error, with pytest's own traceback."""
+
+    @property
+    def has_judged(self) -> bool:
+        """Whether an answer was compared with the right one."""
+        return self.judged_elsewhere or any(_is_judged(result) for result in self.results)
 
     @pytest.fixture
     def judge(self, request: pytest.FixtureRequest) -> Judge:
@@ -194,7 +201,7 @@ class SuitePlugin:
             words = ", ".join(f"{count} tests of stage {stage}" for stage, count in left.items())
             message = f"not judged: {words}: the program answered no case in time, several times in a row; see --timeout"
             self._add(ANSWERED, "A program answers in time.", message)
-        if self.fault or len(self.results) < self._total or any(_is_judged(result) for result in self.results):
+        if self.fault or len(self.results) < self._total or self.has_judged:
             return
         stages = sorted({result.stage for result in self.results} & set(SUITE), key=SUITE.index)
         lacks_all = all(result.outcome == "skipped" for result in self.results if result.id != REQUIRED)

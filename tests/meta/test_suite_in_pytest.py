@@ -78,3 +78,12 @@ def test_a_run_in_which_nothing_was_judged_does_not_pass(here):
     process = run(here, FOLDER, "--port", "my_port:Port", "-k", "channels_do_not_mix")
     assert process.returncode == 1
     assert "nothing was judged: the port has none of the stages asked for" in process.stdout
+
+
+@pytest.mark.thorough
+def test_side_by_side_a_run_passes_if_anything_was_judged(here):
+    """With pytest-xdist the workers have the results, and the process that decides has none."""
+    good = run(here, FOLDER, "--port", "my_port:Port", "-k", "rrm and not large", "-n", "2")
+    assert good.returncode == 0, good.stdout + good.stderr
+    assert "nothing was judged" not in good.stdout
+    assert run(here, FOLDER, "--port", "my_port:Port", "-k", "channels_do_not_mix", "-n", "2").returncode == 1
