@@ -38,9 +38,15 @@ __all__ = [
 ]
 
 
+CHOICES = "OCL_ICD_VENDORS", "OCL_ICD_FILENAMES", "OPENCL_VENDOR_PATH", "POCL_DEVICES"
+"""Variables by which loaders and PoCL are told which runtimes and devices there are; one that is set wrong hides all."""
+
+
 def no_device() -> str:
     """The message if there is no device: how to install one on this platform."""
-    if sys.platform == "linux" and platform.machine() == "x86_64":
+    if chosen := [f"{name}={os.environ[name]}" for name in CHOICES if os.environ.get(name)]:
+        cure = f"{' and '.join(chosen)} may hide it: run without"
+    elif sys.platform == "linux" and platform.machine() == "x86_64":
         cure = "pip install 'pyopencl[pocl]' gives one that runs on any processor"
     elif sys.platform == "win32":
         cure = "a graphics driver, Intel's OpenCL runtime or conda-forge's pocl (conda env create -f environment.yml) gives one"

@@ -25,7 +25,7 @@ from stss.frames import open_backend
 from stss.weights.file import REALTIME
 from stss_cl.device import amx, caches, program
 from stss_cl.device import discovery as cl_device
-from stss_cl.device.discovery import DeviceError, open_device
+from stss_cl.device.discovery import CHOICES, DeviceError, open_device
 from stss_ref.weights import random
 from tests.hostile.cases import runs
 
@@ -91,10 +91,18 @@ def test_a_graphics_processor_goes_before_the_fastest_processor_unless_it_fails(
     assert lines[-1] == "not used: C: gpu hung: no answer within 60 s"
     with pytest.raises(DeviceError, match=r"^device 'radeon': expected part of one of A: slow, B: fast, C: gpu$"):
         choose("radeon")
+
+
+def test_without_a_device_a_variable_that_hides_it_is_named(machine, monkeypatch):
     machine({})
+    for name in CHOICES:
+        monkeypatch.delenv(name, raising=False)
     for ask in (choose, devices.rows):
         with pytest.raises(DeviceError, match=r"^no OpenCL device: pip install"):
             ask()
+    monkeypatch.setenv("POCL_DEVICES", "cuda")
+    with pytest.raises(DeviceError, match=r"^no OpenCL device: POCL_DEVICES=cuda may hide it"):
+        choose()
 
 
 def test_a_named_device_is_taken_however_slow(machine, monkeypatch):
