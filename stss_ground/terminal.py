@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import logging
 import os
+import shutil
 import sys
 from io import TextIOWrapper
 from typing import Any
@@ -48,6 +49,8 @@ class Terminal(Console):
         super().__init__(**how)
         if not self.is_terminal and "COLUMNS" not in os.environ:
             self.width = WIDE
+        elif self.width < 1:  # COLUMNS=0, as shells without a terminal set it; rich would print nothing
+            self.width = shutil.get_terminal_size((WIDE, 1)).columns
 
     def on_broken_pipe(self) -> None:
         """Leave it to the command, as any other error of writing; rich would end with status 1, which is that of a finding."""

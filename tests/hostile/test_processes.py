@@ -36,6 +36,12 @@ def test_a_closed_stream_is_no_file(frames, tmp_path):
     assert (process.returncode, process.stdout) == (2, "")
 
 
+def test_a_terminal_of_no_columns_loses_no_line(frames, tmp_path):
+    """COLUMNS=0, as some containers and editors set it."""
+    process = stss("run", frames, "-o", tmp_path / "out", "--weights", "bilinear", "--backend", "ref", env={"COLUMNS": "0"})
+    assert "2 SF, 2 EF written" in process.stderr
+
+
 def test_a_current_folder_that_was_removed_is_said(frames, tmp_path):
     (tmp_path / "here").mkdir()
     words = f"cd here && rmdir ../here && {sys.executable} -m stss run {frames} -o {tmp_path / 'out'} --weights bilinear"
