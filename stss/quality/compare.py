@@ -20,7 +20,7 @@ from stss.images.read_write import read_rgb
 from stss.quality.changes import Follower, OutputAndTruth, temporal_psnr
 from stss.quality.flip_vmaf import NEITHER, Perceptual, vmaf_scores
 from stss.quality.metrics import REGIONS, Scores, mean_scores, score, to_8bit, upsample_holes
-from stss.quality.output_and_truth import FALLBACK, KINDS, MADE_WITH, Pair, find_pairs, list_numbers, require_size
+from stss.quality.output_and_truth import DIFFERENCES, FALLBACK, KINDS, MADE_WITH, Pair, find_pairs, list_numbers, require_size
 from stss.sequence.raw_frame import NonFinite
 from stss.sequence.reader import Sequence as Input
 from stss_ground.errors import InputError
@@ -323,10 +323,10 @@ def _notes(out: Path, pairs: Mapping[int, Pair], holes: Path | None) -> list[str
         notes.append(f"{out}: kinds of frame are not known (no stss:kind); means are over all frames")
     if any(p.transfer is None and ".exr" in (p.output.suffix.lower(), p.truth.suffix.lower()) for p in pairs.values()):
         notes.append(f"{out}: no transfer named (no stss:transfer); EXR is taken as scene-linear and shown as {FALLBACK}")
-    apart = [n for n, pair in pairs.items() if pair.primaries is not None]
-    if apart:
-        ours, theirs = pairs[apart[0]].primaries or ("", "")
-        notes.append(f"chromaticities of {list_numbers(apart)}: {ours} in the output, {theirs} in the truth; not converted")
+    for what, compared in DIFFERENCES.items():
+        if apart := [n for n, pair in pairs.items() if what in pair.differences]:
+            ours, theirs = pairs[apart[0]].differences[what]
+            notes.append(f"{what} of {list_numbers(apart)}: {ours} in the output, {theirs} in the truth; {compared}")
     lacking = [n for n, pair in pairs.items() if pair.holes is None and pair.kind != "SF"]
     if lacking:
         notes.append(f"{(holes or out) / 'holes'}: no holes of {list_numbers(lacking)}; not scored there")

@@ -3,15 +3,17 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from stss.images.color import TRANSFERS, Transfer, chromaticities, same_primaries, transfer
-from stss.images.headers import Value
+from stss.images.headers import Header, Value
 from stss.images.read_write import read_header, read_rgb
+from stss.images.windows import union
 from stss.sequence.find_files import numbered_files
 from stss.sequence.raw_frame import NonFinite
 from stss_ground.errors import InputError
@@ -22,6 +24,13 @@ SUFFIXES = (".png", ".exr")
 MADE_WITH = ("method", "weights", "backend", "transfer")
 FALLBACK = "srgb"
 """The transfer for files that name none."""
+_USUAL_SPACES = {
+    ".exr": ("linear Rec. 709", re.compile(r"scene_linear|lin(ear)?([ _](rec\.?709|srgb).*)?", re.IGNORECASE)),
+    ".png": ("sRGB", re.compile(r"(gimp built-in )?srgb(?!_p3).*", re.IGNORECASE)),
+}
+"""Suffix -> the colours of files without a tag, and its names in tags."""
+DIFFERENCES = {"chromaticities": "not converted", "colours": "not converted", "data windows": "black outside of them"}
+"""What may differ between output and truth -> how they are compared all the same."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +45,7 @@ class Pair:
         holes: the file of its warping holes; None without one.
         static_holes: the share of its static surfaces that are holes, where the file says it.
         made_with: method, weights, backend and transfer, as far as the file names them.
-        primaries: of both, where they differ; their colours are compared as they are.
+        differences: what both files say of themselves -> the output's words and the truth's, where they differ: `DIFFERENCES`.
         non_finite: values that are not finite: "refuse" them, or "mask": 0.
     """
 
@@ -47,7 +56,7 @@ class Pair:
     holes: Path | None
     static_holes: float | None
     made_with: Mapping[str, str]
-    primaries: tuple[str, str] | None = None
+    differences: Mapping[str, tuple[str, str]] = field(default_factory=dict[str, tuple[str, str]])
     non_finite: NonFinite = "refuse"
 
     def load(self) -> tuple[Image, Image]:
@@ -108,7 +117,9 @@ def find_pairs(
         pairs = {n: _as_in_run(pair, *run.get(n, (None, None)), masks.get(n)) for n, pair in pairs.items()}
     for folder, images in ((out, outputs), (truth, truths)):
         if not images and frames is None:
-            raise InputError(f"{folder}: no frames; expected files named like NAME.0001.exr or NAME.0001.png")
+            kinds = sorted({path.suffix for path in folder.iterdir()} - {"", *SUFFIXES})[:5]
+            found = f"; found {', '.join(kinds)}" if kinds else ""
+            raise InputError(f"{folder}: no frames; expected files named like NAME.0001.exr or NAME.0001.png{found}")
     if not pairs:
         there = f"found {list_numbers(truths)}" + (f" within {frames[0]} to {frames[1]}" if frames else "")
         raise InputError(f"{truth}: expected a frame that {out} has, one of {list_numbers(outputs)}; {there}")
@@ -155,14 +166,13 @@ def find_images(folder: Path, frames: tuple[int, int] | None = None) -> dict[int
 
 
 def _pair(output: Path, truth: Path, non_finite: NonFinite) -> Pair:
-    attributes, other = (read_header(path).attributes for path in (output, truth))
+    headers = read_header(output), read_header(truth)
+    attributes = headers[0].attributes
     made_with = {name: str(attributes[f"stss:{name}"]) for name in MADE_WITH if f"stss:{name}" in attributes}
     kind, domain = _kind_and_transfer(output, attributes)
     holes = output.parent / "holes" / f"{output.stem}.png"
     share = _share(output, attributes.get("stss:static-holes"))
-    return Pair(
-        output, truth, kind, domain, holes if holes.exists() else None, share, made_with, _differ(attributes, other), non_finite
-    )
+    return Pair(output, truth, kind, domain, holes if holes.exists() else None, share, made_with, _differ(*headers), non_finite)
 
 
 def _as_in_run(pair: Pair, kind: str | None, domain: str | None, holes: Path | None) -> Pair:
@@ -180,12 +190,33 @@ def _kind_and_transfer(path: Path, attributes: Mapping[str, Value]) -> tuple[str
     return None if kind is None else str(kind), None if domain is None else str(domain)
 
 
-def _differ(output: Mapping[str, Value], truth: Mapping[str, Value]) -> tuple[str, str] | None:
-    """The primaries and white points of both as text, where they differ."""
-    ours, theirs = chromaticities(output), chromaticities(truth)
-    if same_primaries(ours, theirs):
-        return None
-    return ", ".join(f"{x:.4g}" for x in ours), ", ".join(f"{x:.4g}" for x in theirs)
+def _differ(output: Header, truth: Header) -> dict[str, tuple[str, str]]:
+    """The words of both files on what differs, by the names of `DIFFERENCES`."""
+    found: dict[str, tuple[str, str]] = {}
+    ours, theirs = chromaticities(output.attributes), chromaticities(truth.attributes)
+    spaces = _space(output), _space(truth)
+    if not same_primaries(ours, theirs):
+        found["chromaticities"] = _listing(ours), _listing(theirs)
+    elif spaces[0] != spaces[1] and {*spaces} != {usual for usual, _ in _USUAL_SPACES.values()}:
+        found["colours"] = spaces
+    windows = union(output.windows.values()), union(truth.windows.values())
+    if windows[0].within(output.display) != windows[1].within(truth.display):
+        found["data windows"] = str(windows[0]), str(windows[1])
+    return found
+
+
+def _space(header: Header) -> str:
+    """The colours that a file is tagged with, by one name where they are its format's usual ones.
+
+    ``oiio:ColorSpace`` is OpenImageIO's name for an EXR's ``colorInteropID``, and for a PNG's gamma and code points.
+    """
+    usual, names = _USUAL_SPACES[header.path.suffix.lower()]
+    tag = str(header.attributes.get("ICCProfile:profile_description") or header.attributes.get("oiio:ColorSpace") or usual)
+    return usual if names.fullmatch(tag) else tag
+
+
+def _listing(numbers: Iterable[float]) -> str:
+    return ", ".join(f"{x:.4g}" for x in numbers)
 
 
 def _share(path: Path, text: Value | None) -> float | None:

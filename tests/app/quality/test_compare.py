@@ -6,14 +6,17 @@ from __future__ import annotations
 import io
 import json
 import math
+import struct
 
 import numpy as np
+import OpenImageIO as oiio  # noqa: N813
 import pytest
 from rich.console import Console
 
 from stss.images.color import REC709, transfer
 from stss.images.encode import encode_exr
 from stss.images.read_write import write_mask, write_rgb
+from stss.images.windows import PixelWindow
 from stss.quality.compare import compare, facts, print_comparison
 from stss_ground.errors import InputError
 from tests.app.conftest import write_raw
@@ -189,6 +192,59 @@ def test_other_primaries_are_named(out, truth):
     assert notes[0].endswith("in the truth; not converted")
 
 
+def profile(name):
+    """The least ICC profile of RGB that has this name."""
+    text = name.encode("utf-16-be")
+    description = b"mluc" + struct.pack(">3I4s2I", 0, 1, 12, b"enUS", len(text), 28) + text + b"\0\0" * (len(name) % 2)
+    head = struct.pack(">I4sI4s4s4s12s4s", 144 + len(description), b"none", 4 << 24, b"mntr", b"RGB ", b"XYZ ", b"", b"acsp")
+    return np.frombuffer(
+        head.ljust(128, b"\0") + struct.pack(">I4s2I", 1, b"desc", 144, len(description)) + description, np.uint8
+    )
+
+
+@pytest.mark.parametrize(
+    ("suffix", "tag", "words"),
+    [
+        (".exr", {"colorInteropID": "lin_rec709_scene"}, None),
+        (".exr", {"colorInteropID": "lin_ap1_scene"}, "lin_ap1_scene"),
+        (".exr", {"colorInteropID": "srgb_rec709_scene"}, "srgb_rec709_scene"),
+        (".png", {}, None),
+        (".png", {"oiio:ColorSpace": "srgb_rec709_scene"}, None),
+        (".png", {"oiio:ColorSpace": "lin_rec709_scene"}, "lin_rec709_scene"),
+        (".png", {"CICP": (9, 16, 0, 1)}, "pq_rec2020_display"),
+        (".png", {"ICCProfile": profile("Display P3")}, "Display P3"),
+        (".png", {"ICCProfile": profile("sRGB IEC61966-2.1")}, None),
+    ],
+)
+def test_colours_of_another_space_are_named(out, truth, suffix, tag, words):
+    """Of an EXR, which is linear as a rule, and of a PNG, which is sRGB; they are compared as they are."""
+    write_rgb(out / "frame.0000.exr", np.full((*SIZE, 3), 0.5, np.float32), metadata=labels("SF"))
+    image = oiio.ImageBuf(flat(100))
+    for name, value in tag.items():
+        kind = {tuple: "int[4]", str: "string", np.ndarray: f"uint8[{len(value)}]"}[type(value)]
+        image.specmod().attribute(name, kind, value)
+    assert image.write(str(truth / f"shot.0000{suffix}"), "uint8" if suffix == ".png" else "half")
+    notes = [line for line in facts(compare(out, truth)) if line.startswith("colours of")]
+    assert notes == (
+        [] if words is None else [f"colours of frame 0: linear Rec. 709 in the output, {words} in the truth; not converted"]
+    )
+
+
+def test_a_truth_that_is_cropped_is_named(out, truth):
+    """A region of a render: the rest counts as black. Overscan does not."""
+    pixels = np.full((*SIZE, 3), 0.5, np.float32)
+    display = PixelWindow(0, 0, SIZE[1], SIZE[0])
+    for number, (x, y) in enumerate([(0, 0), (2, 1), (-2, -1)]):
+        write_rgb(out / f"frame.{number:04d}.exr", pixels, metadata=labels("SF"))
+        data = PixelWindow(x, y, SIZE[1] - 2 * x, SIZE[0] - 2 * y)
+        path = truth / f"shot.{number:04d}.exr"
+        path.write_bytes(encode_exr(path, ("R", "G", "B"), np.full((*data.size, 3), 0.5, np.float32), (), {}, (data, display)))
+    notes = [line for line in facts(compare(out, truth)) if "data windows" in line]
+    assert notes == [
+        "data windows of frame 1: (0, 0) - (31, 23) in the output, (2, 1) - (29, 22) in the truth; black outside of them"
+    ]
+
+
 def test_frames_without_partner_are_listed(out, truth):
     """Nothing is dropped in silence; a range limits both folders."""
     for number in range(1, 7):
@@ -215,6 +271,13 @@ def test_somebody_else_s_output_is_one_group(out, truth):
         "no holes of frames 1 to 2; not scored there",
     ]
     assert comparison.rows[0].scores["holes"].psnr_luma is None
+
+
+def test_other_kinds_of_image_are_named(out, truth):
+    write_rgb(out / "frame.0001.png", flat(100))
+    (truth / "shot.0001.jpg").touch()
+    with pytest.raises(InputError, match=r"truth: no frames; expected .* NAME\.0001\.png; found \.jpg$"):
+        compare(out, truth)
 
 
 def test_json_is_valid_and_says_infinite(out, truth):
