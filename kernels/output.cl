@@ -6,13 +6,17 @@
 //  motion    in   (H, W, 2)    px, display frame -> rendered frame; non-finite reads the pixel itself
 //  moved     out  (H, W, C)    as plane
 //  enlarged  out  (2H, 2W, C)  as plane
-//  image     in   (2H, 2W, 3)  display-referred; finite
+//  image     in   (2H, 2W, 3)  display-referred
 //  above     in   (2H, 2W, 3)  scene-linear, the part above 1, at least 0; not read if highlights is 0
 //  color     out  (2H, 2W, 3)  scene-linear; display-referred if srgb is 0
+//  bad       out  (1)          set to 1 where image is not finite
 //
 // Channels and curve are arguments, so that one program serves all.
 // Launch (W, H) rounded up: a work-item has a pixel, or any twelve numbers of the image.
 #include "sample.clh"
+
+// A float with all of these bits is not finite.
+#define EXPONENT 0x7f800000
 
 kernel void move(global const float *restrict plane, global const float2 *restrict motion, global float *restrict moved,
                  const int channels, const int height, const int width)
@@ -70,17 +74,20 @@ INLINE float4 linear_of(const float4 e)
 }
 
 kernel void decode(global const float4 *restrict image, global const float4 *restrict above,
-                   global float4 *restrict color, const int srgb, const int highlights, const float low,
-                   const float span, const int height, const int width)
+                   global float4 *restrict color, global int *restrict bad, const int srgb, const int highlights,
+                   const float low, const float span, const int height, const int width)
 {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= width || y >= height) return;
     const int first = (y * width + x) * 3;
+    int4 infinite = 0;
     for (int i = first; i < first + 3; ++i) {
+        infinite |= (as_int4(image[i]) & EXPONENT) == EXPONENT;
         const float4 e = clip(image[i]);
         float4 c = srgb ? linear_of(e) : e;
         // White pixels have the whole of it, darker ones nothing.
         if (highlights) c += above[i] * clip((e - low) / span);
         color[i] = c;
     }
+    if (any(infinite)) *bad = 1;
 }

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The OpenCL backend: ``Network``, ``Frame`` and ``Stream``."""
+"""The OpenCL backend: ``Network``, ``Frame``, ``Stream`` and ``Accumulate``."""
 
 from __future__ import annotations
 
@@ -7,12 +7,18 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from stss_cl.frame import Frame
+    from stss_cl.image_space.accumulate import Accumulate
     from stss_cl.network.network import Network
     from stss_cl.skip.stream import Stream
 
-__all__ = ["Frame", "Network", "Stream"]
+__all__ = ["Accumulate", "Frame", "Network", "Stream"]
 
-_HOMES = {"Frame": "stss_cl.frame", "Network": "stss_cl.network.network", "Stream": "stss_cl.skip.stream"}
+_HOMES = {
+    "Accumulate": "stss_cl.image_space.accumulate",
+    "Frame": "stss_cl.frame",
+    "Network": "stss_cl.network.network",
+    "Stream": "stss_cl.skip.stream",
+}
 
 
 def __getattr__(name: str) -> Any:

@@ -4,19 +4,19 @@
 from __future__ import annotations
 
 import weakref
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from stss.frames.compute_options import ComputeOptions
-from stss.frames.display_frame import WINDOW, DisplayFrame, plan
+from stss.frames.display_frame import WINDOW, BackendImage, DisplayFrame, plan
 from stss.images.color import Transfer
 from stss.weights.file import LoadedWeights
 from stss_cl.cost import Cost
 from stss_ref.accumulate import accumulate
-from stss_ref.arrays import Array, Image, Mask
+from stss_ref.arrays import Image, Mask
 from stss_ref.constants import EARLIER_SHARES
 from stss_ref.motion_chain import chain_steps
 
@@ -25,8 +25,9 @@ if TYPE_CHECKING:
 
 EARLIER = len(EARLIER_SHARES)
 """Earlier images that one is mixed with."""
-Accumulate = Callable[[Image, Sequence[Image], Sequence[Image]], Image]
-"""From an image, the earlier ones, newest first, and the motion of each of these display frames to the one before it, newest first."""
+Accumulate = Callable[[BackendImage, Sequence[BackendImage], Sequence[Image]], BackendImage]
+"""From an image, the earlier ones, newest first, and the motion of each of these display frames to the one before it, newest
+first."""
 
 
 def accumulates(weights: LoadedWeights, options: ComputeOptions) -> bool:
@@ -48,8 +49,8 @@ class _Kept:
         again: what was shown, if ``image`` is that of two frames before and nothing moved since; else None.
     """
 
-    image: Image
-    again: Image | None = None
+    image: BackendImage
+    again: BackendImage | None = None
 
 
 class Accumulation:
@@ -80,7 +81,7 @@ class Accumulation:
         motion = np.zeros((height, width, 2), np.float32)
         self._accumulate(image, [image] * EARLIER, [motion] * EARLIER)  # a kernel is compiled when it is launched first
 
-    def compute(self, window: Sequence[DisplayFrame], steps: tuple[int, int, int]) -> tuple[Image, Mask]:
+    def compute(self, window: Sequence[DisplayFrame], steps: tuple[int, int, int]) -> tuple[BackendImage, Mask]:
         """See ``Backend``."""
         # The oldest first: a backend that skips what does not change meets the frames in order.
         before = [self._made(window[:-back]) for back in range(EARLIER, 0, -1) if back < len(window)][::-1]
@@ -92,18 +93,16 @@ class Accumulation:
             self._frames.pop(id(window[-1 - EARLIER]), None)
         return shown, valid
 
-    def carry(self, plane: Array, motion: Image | None) -> Image:
+    def deliver(
+        self, image: BackendImage, curve: Transfer, planes: Mapping[str, Image], motion: Image | None
+    ) -> tuple[Image, dict[str, Image]]:
         """See ``Backend``."""
-        return self._backend.carry(plane, motion)
+        return self._backend.deliver(image, curve, planes, motion)
 
-    def decode(self, image: Image, curve: Transfer, above: Image | None) -> Image:
-        """See ``Backend``."""
-        return self._backend.decode(image, curve, above)
-
-    def _mix(self, image: Image, earlier: Sequence[_Kept], window: Sequence[DisplayFrame]) -> tuple[Image, bool]:
+    def _mix(self, image: BackendImage, earlier: Sequence[_Kept], window: Sequence[DisplayFrame]) -> tuple[BackendImage, bool]:
         if not earlier:
             return image, False
-        again = len(earlier) == EARLIER and image.base is not None and image.base is earlier[1].image.base and self._rests()
+        again = len(earlier) == EARLIER and _is_same(image, earlier[1].image) and self._rests()
         if again and earlier[0].again is not None and (shown := earlier[1].again) is not None:
             return shown, True  # what it is made of is that of two frames before
         motions = [frame.motion for frame in window[: -1 - len(earlier) : -1]]
@@ -127,3 +126,9 @@ class Accumulation:
         if id(frame) not in self._frames:
             weakref.finalize(frame, self._frames.pop, id(frame), None)
         self._frames[id(frame)] = kept
+
+
+def _is_same(one: BackendImage, other: BackendImage) -> bool:
+    """Whether two images are the same memory: a backend lends one image as often as it is asked."""
+    base = getattr(one, "base", None)
+    return one is other or (base is not None and base is getattr(other, "base", None))

@@ -9,9 +9,9 @@ from threading import Lock
 from typing import Protocol
 
 from stss.frames.accumulation import Accumulation, accumulate_arrays, accumulates
-from stss.frames.carried_planes import WHITE
+from stss.frames.carried_planes import HIGHLIGHTS, WHITE
 from stss.frames.compute_options import ComputeOptions
-from stss.frames.display_frame import WINDOW, DisplayFrame, OnArrays
+from stss.frames.display_frame import WINDOW, BackendImage, DisplayFrame, OnArrays
 from stss.images.color import Transfer
 from stss.weights.file import LoadedWeights, load
 from stss_cl.cost import Cost
@@ -19,7 +19,7 @@ from stss_cl.liveness import has_residual
 from stss_ground.arguments import require_choice, require_kind
 from stss_ground.errors import InputError
 from stss_ground.terminal import log
-from stss_ref.arrays import Array, Image, Mask, require_finite
+from stss_ref.arrays import Image, Mask
 from stss_ref.constants import Gather
 from stss_ref.frame import FrameInputs, frame, prepare
 from stss_ref.resample import upsample_centres
@@ -57,8 +57,10 @@ class Backend(Protocol):
         """Prepare for frames of (H, W) in advance; otherwise the first ``compute`` does so."""
         ...
 
-    def compute(self, window: Sequence[DisplayFrame], steps: tuple[int, int, int]) -> tuple[Image, Mask]:
+    def compute(self, window: Sequence[DisplayFrame], steps: tuple[int, int, int]) -> tuple[BackendImage, Mask]:
         """``(image (2H, 2W, 3), valid (H, W))`` as ``stss_ref.frame.frame``, for the last frame of ``window``.
+
+        The image may be on the backend's device.
 
         Args:
             window: consecutive display frames, oldest first, up to ``Backend.window`` of them; the caller must not change a frame that
@@ -67,17 +69,19 @@ class Backend(Protocol):
         """
         ...
 
-    def carry(self, plane: Array, motion: Image | None) -> Image:
-        """Bring a plane past the network to the output's size and time, as `stss.frames.carried_planes.carry`."""
-        ...
-
-    def decode(self, image: Image, curve: Transfer, above: Image | None) -> Image:
-        """Take an image of ``compute`` back to the domain that its colours came in, with the highlights of the frame.
+    def deliver(
+        self, image: BackendImage, curve: Transfer, planes: Mapping[str, Image], motion: Image | None
+    ) -> tuple[Image, dict[str, Image]]:
+        """Bring an image to the domain that its colours came in, and planes past the network to its size and time.
 
         Args:
-            image: (2H, 2W, 3) display-referred.
+            image: (2H, 2W, 3) display-referred, of ``compute``.
             curve: the transfer of its colours.
-            above: (2H, 2W, 3) the plane `stss.frames.carried_planes.HIGHLIGHTS`, as ``carry`` made it; None: it has none.
+            planes: of the newest rendered frame, see `stss.frames.carried_planes.carry`.
+            motion: (H, W, 2) that leads from the display frame to the rendered one; None: they are the same frame.
+
+        Returns:
+            The colour, with the highlights of the plane `stss.frames.carried_planes.HIGHLIGHTS`; and the other planes.
 
         Raises:
             ArrayError: ``image`` holds NaN or Inf: a fault of the network that must not be hidden.
@@ -114,6 +118,7 @@ class OpenCLBackend:
         from stss.devices.selection import choose
         from stss.devices.trial import trial_for
         from stss_cl.device.amx import why_emulated
+        from stss_cl.image_space.accumulate import Accumulate
         from stss_cl.image_space.output import OutputKernels
         from stss_cl.skip.stream import Stream
 
@@ -121,7 +126,7 @@ class OpenCLBackend:
         if options.precision == "bfloat16" and (why := why_emulated(device)):
             tell(f"bfloat16: {why}; emulated, which is slow")
         self._stream = Stream(weights, device, options.precision, memory_limit=options.memory_limit, skip=options.skip)
-        self._output = OutputKernels(device)
+        self._accumulate, self._output = Accumulate(device), OutputKernels(device)
         role = "" if device.kind.lower() == device.device_class else f" as {device.device_class}"
         self.device = device
         self.name = f"cl {options.precision} on {device.name}{role}, {device.driver}"
@@ -132,19 +137,23 @@ class OpenCLBackend:
             self._stream.expect(size)
             self._output.load()
 
-    def compute(self, window: Sequence[DisplayFrame], steps: tuple[int, int, int]) -> tuple[Image, Mask]:
-        """See ``Backend``; threads that share a backend take turns."""
+    def compute(self, window: Sequence[DisplayFrame], steps: tuple[int, int, int]) -> tuple[BackendImage, Mask]:
+        """See ``Backend``; threads that share a backend take turns. On a GPU the image stays there."""
         with self._alone:
-            return self._stream(window, steps)
+            return self._stream(window, steps, stay=True)
 
-    def carry(self, plane: Array, motion: Image | None) -> Image:
-        """See ``Backend``."""
-        return self._output.carry(plane, motion)
+    def accumulate(self, image: BackendImage, earlier: Sequence[BackendImage], motions: Sequence[Image]) -> BackendImage:
+        """See `stss.frames.accumulation.Accumulate`."""
+        with self._alone:
+            return self._accumulate(image, earlier, [self._stream.motion_on_device(motion) for motion in motions])
 
-    def decode(self, image: Image, curve: Transfer, above: Image | None) -> Image:
+    def deliver(
+        self, image: BackendImage, curve: Transfer, planes: Mapping[str, Image], motion: Image | None
+    ) -> tuple[Image, dict[str, Image]]:
         """See ``Backend``."""
-        require_finite("image", image)
-        return self._output.decode(image, WHITE, srgb=curve.name == "srgb", above=above)
+        with self._alone:
+            way = None if motion is None else self._stream.motion_on_device(motion)
+            return self._output.deliver(image, planes, way, srgb=curve.name == "srgb", highlights=HIGHLIGHTS, white=WHITE)
 
     @property
     def cost(self) -> Cost:
@@ -182,11 +191,7 @@ def open_backend(
     weights = check(weights)
     if name == "cl":
         backend = OpenCLBackend(weights, options, tell)
-        if not mixes:
-            return backend
-        from stss_cl.image_space.accumulate import Accumulate
-
-        return Accumulation(backend, Accumulate(backend.device))
+        return Accumulation(backend, backend.accumulate) if mixes else backend
     if options.device is not None or options.precision != "float32":
         raise InputError("backend ref: expected neither a device nor another precision than float32")
     reference = ReferenceBackend(weights)

@@ -6,6 +6,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -17,6 +18,8 @@ from stss_ref.depth import DepthMode, normalise_depth
 from stss_ref.frame import FrameInputs
 from stss_ref.schedule import Schedule, schedule
 
+BackendImage = Any
+"""An image where its backend has it: a NumPy array, or for OpenCL on a GPU a ``pyopencl.array`` there."""
 WINDOW = 6
 """Stage ``frame`` reads its own display frame and the five before it, and nothing else."""
 
@@ -124,16 +127,14 @@ def _wide(plane: Array) -> Array:
 class OnHost:
     """The part of a backend (``stss.frames.backends.Backend``) behind stage ``frame``, in NumPy."""
 
-    def carry(self, plane: Array, motion: Image | None) -> Image:
+    def deliver(
+        self, image: Image, curve: Transfer, planes: Mapping[str, Image], motion: Image | None
+    ) -> tuple[Image, dict[str, Image]]:
         """See ``Backend``."""
-        return carry(plane, motion)
-
-    def decode(self, image: Image, curve: Transfer, above: Image | None) -> Image:
-        """See ``Backend``."""
-        color = curve.decode(image)
-        if above is not None:
+        color, carried = curve.decode(image), {name: carry(plane, motion) for name, plane in planes.items()}
+        if (above := carried.pop(HIGHLIGHTS, None)) is not None:
             add_highlights(color, image, above)
-        return color
+        return color, carried
 
 
 class OnArrays(OnHost, ABC):

@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from stss.frames.backends import Backend
-from stss.frames.carried_planes import HIGHLIGHTS
 from stss.frames.display_frame import DisplayFrame, plan
 from stss.images.color import Transfer
 from stss_ground.errors import InputError
@@ -53,9 +52,7 @@ def compute(window: Sequence[DisplayFrame], backend: Backend, curve: Transfer) -
         return None
     image, valid = backend.compute(window, timing.steps)
     step, newest = timing.steps[0], window[-1]
-    motion, planes = newest.motion if step else None, window[-1 - step].carried
-    carried = {name: backend.carry(plane, motion) for name, plane in planes.items()}
-    color = backend.decode(image, curve, carried.pop(HIGHLIGHTS, None))
+    color, carried = backend.deliver(image, curve, window[-1 - step].carried, newest.motion if step else None)
     return Output(newest.number, timing.kind, color, np.array(valid), carried)  # a backend may keep its own for later
 
 

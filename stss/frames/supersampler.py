@@ -78,7 +78,7 @@ class Supersampler:
             options = ComputeOptions(device, precision, memory_limit, skip, accumulate)
             is_auto = isinstance(weights, str) and weights == "auto"
             backend = open_backend(backend, REALTIME if is_auto else weights, options, tell=tell)
-        if not all(callable(getattr(backend, name, None)) for name in ("compute", "carry", "decode", "expect")):
+        if not all(callable(getattr(backend, name, None)) for name in ("compute", "deliver", "expect")):
             raise InputError(f"backend: expected a name or one from open_backend, got {type(backend).__name__}")
         self.backend = backend
         self._busy = Lock()

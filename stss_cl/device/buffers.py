@@ -198,8 +198,10 @@ def part(device: Device, buffer: cl.Buffer, first: int, size: int) -> cl.Buffer:
     return copy
 
 
-def incoming(device: Device, array: Array) -> cl.Buffer:
-    """The caller's array as a buffer: in place on a CPU if its alignment allows that, else a copy that may still be under way."""
+def incoming(device: Device, array: Plain) -> cl.Buffer:
+    """An array as a buffer: in place if it is on the device, or on a CPU if its alignment allows that; else a copy, perhaps under way."""
+    if isinstance(array, cla.Array):
+        return on_device(device, "array", array)
     if not device.is_cpu:
         return staging(device).upload(np.ascontiguousarray(array))
     in_place = array.flags.c_contiguous and array.ctypes.data % ALIGNMENT == 0

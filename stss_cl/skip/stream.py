@@ -13,7 +13,7 @@ import pyopencl.array as cla
 from numpy.typing import NDArray
 
 from stss_cl.cost import Cost
-from stss_cl.device.buffers import Outgoing, mask_of, on_device
+from stss_cl.device.buffers import Outgoing, Plain, mask_of, on_device
 from stss_cl.device.discovery import Device
 from stss_cl.device.grid import ceil8
 from stss_cl.device.launch import defer_loads
@@ -31,7 +31,7 @@ from stss_cl.skip.frame_cache import FrameCache, Last
 from stss_cl.skip.frames_in_flight import Call, FrameInFlight, one_ahead
 from stss_cl.skip.uploaded_frames import UploadedFrame, UploadedFrames, sources
 from stss_ground.arguments import require_choice
-from stss_ref.arrays import ArrayError, require_dtype, require_shape
+from stss_ref.arrays import Array, ArrayError, require_dtype, require_shape
 from stss_ref.constants import Gather
 from stss_ref.weights import Weights
 
@@ -79,7 +79,12 @@ class Stream:
         self._latest: FrameCache | None = None
 
     def __call__(
-        self, window: Sequence[DisplayFrame], steps: Sequence[int], out: NDArray[np.float32] | cla.Array | None = None
+        self,
+        window: Sequence[DisplayFrame],
+        steps: Sequence[int],
+        out: NDArray[np.float32] | cla.Array | None = None,
+        *,
+        stay: bool = False,
     ) -> tuple[Any, Any]:
         """Compute the last frame of ``window``.
 
@@ -94,6 +99,7 @@ class Stream:
             steps: the distances of the three colour frames, in frames back, newest first; ``window`` holds these frames.
             out: (2H, 2W, 3) float32, C-contiguous: receives a copy of the image; None: the stream returns its own array, on the device if
                 the last frame's G-buffer is there.
+            stay: on a GPU let the stream's own array of the image stay there, though not that of ``valid``; without ``out``.
 
         Returns:
             image: (2H, 2W, 3) float32, not clipped: ``out``, or the stream's array, which is read-only if frames are kept. It does not
@@ -105,7 +111,7 @@ class Stream:
                 position is not finite.
         """
         if out is None:
-            return self.begin(window, steps).finish()
+            return self.begin(window, steps, stay=stay).finish()
         require_window(window)
         height, width = window[-1].nov.shape
         require_shape("out", out, (2 * height, 2 * width, 3))
@@ -136,14 +142,23 @@ class Stream:
         yield from one_ahead(calls, self.begin, self._finish)
 
     def begin(
-        self, window: Sequence[DisplayFrame], steps: Sequence[int], out: cla.Array | None = None, *, on_host: bool = False
+        self,
+        window: Sequence[DisplayFrame],
+        steps: Sequence[int],
+        out: cla.Array | None = None,
+        *,
+        on_host: bool = False,
+        stay: bool = False,
     ) -> FrameInFlight:
-        """Begin a frame. Its image goes to ``out``; without ``out`` to the device if the frame's G-buffer is there, unless ``on_host``."""
+        """Begin a frame. Its image goes to ``out``; without ``out`` to the device if the frame's G-buffer is there, unless ``on_host``.
+
+        ``stay``: see ``__call__``.
+        """
         require_window(window)
-        if out is None and not on_host and isinstance(window[-1].gbuffer, cla.Array):
+        if out is None and not on_host and not stay and isinstance(window[-1].gbuffer, cla.Array):
             height, width = window[-1].nov.shape
             out = cla.empty(self.device.queue, (2 * height, 2 * width, 3), np.float32, allocator=self.device.pool)
-        frame = self._enqueue(window, steps, out)
+        frame = self._enqueue(window, steps, out, stay=stay and not self.device.is_cpu)
         assert self._uploaded is not None
         try:
             self._uploaded.require_finite()
@@ -158,7 +173,9 @@ class Stream:
         self.cost = frame.cost
         return frame.finish()
 
-    def _enqueue(self, window: Sequence[DisplayFrame], steps: Sequence[int], out: cla.Array | None) -> FrameInFlight:
+    def _enqueue(
+        self, window: Sequence[DisplayFrame], steps: Sequence[int], out: cla.Array | None, *, stay: bool
+    ) -> FrameInFlight:
         distances = check_steps(steps)
         if len(window) <= distances[2]:
             raise ArrayError(f"window: expected the {distances[2] + 1} frames that the steps lead to, got {len(window)}")
@@ -172,9 +189,10 @@ class Stream:
         self._latest = cache
         if cache is None:
             self.cost = Cost(1.0, "whole")
-            return self._compute_whole(sources(frames, distances), size, out)
+            return self._compute_whole(sources(frames, distances), size, out, stay=stay)
         dirty = self._dirty(uploaded, cache, frames, cache.read(distances)) if looking else None
-        return self._compute(cache, frames, distances, dirty, looking, out)
+        valid = self._compute(cache, frames, distances, dirty, looking)
+        return self._hand_out(cache, frames, distances, out, valid, stay=stay)
 
     def expect(self, size: tuple[int, int], back_from: float | None = None) -> None:
         """Build all kernels and buffers for frames of (H, W), for example while the first is read, so that no call builds any.
@@ -201,6 +219,11 @@ class Stream:
         if not self.device.is_cpu:
             staging(self.device).uploads.finish()
 
+    def motion_on_device(self, motion: Array) -> Plain:
+        """The array, or on a GPU what was uploaded of it, if it is the motion of a frame of the last window. Until the next call."""
+        buffer = None if self.device.is_cpu or self._uploaded is None else self._uploaded.find_motion(motion)
+        return motion if buffer is None else cla.Array(self.device.queue, motion.shape, motion.dtype, data=buffer)
+
     def activity(self) -> NDArray[np.float32]:
         """The share of the network that the last frame needed, for each 4 x 4 of its pixels: from 0, nothing, to 1, everything.
 
@@ -220,18 +243,21 @@ class Stream:
         steps: tuple[int, int, int],
         dirty: Tiles | None,
         looking: bool,
-        out: cla.Array | None,
-    ) -> FrameInFlight:
-        """Plan the frame, execute the plan, learn from its cost. ``dirty``, ``looking``: see ``FrameCache.prepare_inputs``."""
+    ) -> Outgoing | None:
+        """Plan the frame, execute the plan, learn from its cost. ``dirty``, ``looking``: see ``FrameCache.prepare_inputs``.
+
+        Returns:
+            The mask ``valid`` if it is the last one and on the host; None: it is on the device.
+        """
         if cache.last is not None and dirty is not None and not dirty.any():
             self.cost = Cost(0.0, "none")
-            return self._hand_out(cache, frames, steps, out, cache.last.valid)
+            return cache.last.valid
         changed = cache.prepare_inputs(sources(frames, steps), dirty, looking=looking)
         network = self.control.plan(changed)
         cache.execute(network)
         self.control.learn(network)
         self.cost = Cost(changed, network)
-        return self._hand_out(cache, frames, steps, out, None)
+        return None
 
     def _hand_out(
         self,
@@ -240,8 +266,10 @@ class Stream:
         steps: tuple[int, int, int],
         out: cla.Array | None,
         valid: Outgoing | None,
+        *,
+        stay: bool,
     ) -> FrameInFlight:
-        """The image and ``valid``, which is given if it is the last one and on the host; the frame becomes the last SF or EF."""
+        """The image and ``valid``, see ``_compute``; the frame becomes the last SF or EF."""
         if out is not None:
             cache.image.copy_to(out)
             cache.last = _last(frames, cache.read(steps), valid)
@@ -250,16 +278,21 @@ class Stream:
         if valid is None:
             valid = mask_of(self.device, cache.prepare.mask, cache.layers.size, on_device=False)
         cache.last = _last(frames, cache.read(steps), valid)
-        array, image = cache.image.lend()
+        coming: tuple[Outgoing, ...] = (valid,)
+        if stay:
+            array: Any = cache.image.lend_there()
+        else:
+            array, image = cache.image.lend()
+            coming = image, valid
         valid.send()
         mask = valid.array.view(np.bool_)
         mask.flags.writeable = False
-        return FrameInFlight(array, mask, (image, valid), self.cost)
+        return FrameInFlight(array, mask, coming, self.cost)
 
-    def _compute_whole(self, planes: Sources, size: tuple[int, int], out: cla.Array | None) -> FrameInFlight:
+    def _compute_whole(self, planes: Sources, size: tuple[int, int], out: cla.Array | None, *, stay: bool) -> FrameInFlight:
         """Compute a frame without keeping anything for the next one."""
         there = out is not None
-        image = Outgoing(self.device, (2 * size[0], 2 * size[1], 3), on_device=there)
+        image = Outgoing(self.device, (2 * size[0], 2 * size[1], 3), on_device=there or stay)
         valid = mask_of(self.device, self._whole.start(planes, size, image.data), size, on_device=there)
         if out is not None:
             to: Any = out.base_data

@@ -93,6 +93,12 @@ class UploadedFrames:
         self._drop(*takewhile(lambda each: each is not uploads[0], self._chain))
         return uploads
 
+    def find_motion(self, motion: Plain) -> cl.Buffer | None:
+        """The buffer of a motion that a frame of the last window holds; None: there is none."""
+        return next(
+            (each.planes["motion"] for each in self._chain if each.frame is not None and each.frame.motion is motion), None
+        )
+
     def require_finite(self) -> None:
         """Wait for the checks for which ``take`` did not wait: all frames of the last window must be finite.
 

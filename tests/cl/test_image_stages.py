@@ -2,6 +2,7 @@
 
 import numpy as np
 import pyopencl as cl
+import pyopencl.array as cla
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -13,6 +14,7 @@ from stss_cl.image_space.accumulate import Accumulate
 from stss_cl.image_space.prepare import FINITE, Prepare, PrepareOptions
 from stss_cl.image_space.stages import ImageStages
 from stss_ref.accumulate import accumulate
+from stss_ref.arrays import ArrayError
 from stss_ref.frame import FrameInputs, prepare
 from stss_ref.motion_chain import chain_steps, motion_chain
 from stss_ref.occlusion_warp import occlusion_warp, splat
@@ -321,6 +323,25 @@ def test_accumulation_of_frames_in_turns(device):
         chained = np.stack([*chain_steps(motions)])
         for count in (1, 2):
             want = accumulate(image, np.stack(earlier[:count]), chained[:count])
+            there = [cla.to_device(device.queue, each) for each in (*earlier, *motions)]
             answers += [(accumulate_frames(each, earlier[:count], motions[:count]), want) for each in (image, odd)]
+            answers.append((accumulate_frames(image, there[:count], there[2 : 2 + count]), want))
     for got, want in answers:
-        np.testing.assert_array_equal(got, want)
+        np.testing.assert_array_equal(got.get() if isinstance(got, cla.Array) else got, want)
+
+
+@pytest.mark.parametrize(
+    ("name", "wrong", "words"),
+    [
+        ("image", np.zeros((8, 12, 4), np.float32), r"image: expected shape \(8, 12, 3\), got \(8, 12, 4\)"),
+        ("earlier", [np.zeros((8, 12, 3))], r"earlier\[0\]: expected dtype float32, got float64"),
+        ("earlier", [], "earlier, motions: expected one or two each, as many of both, got 0 and 1"),
+        ("motions", [np.zeros((4, 6, 3), np.float32)], r"motions\[0\]: expected shape \(any, any, 2\), got \(4, 6, 3\)"),
+        ("motions", 2 * [np.zeros((4, 6, 2), np.float32)], "as many of both, got 1 and 2"),
+    ],
+)
+def test_images_that_do_not_fit_are_named(device, name, wrong, words):
+    right = {"image": np.zeros((8, 12, 3), np.float32), "earlier": [np.zeros((8, 12, 3), np.float32)]}
+    right["motions"] = [np.zeros((4, 6, 2), np.float32)]
+    with pytest.raises(ArrayError, match=words):
+        Accumulate(device)(**{**right, name: wrong})

@@ -156,8 +156,11 @@ def stages(device):
                 yield from ImageStages(device, gather).run_stage(stage, mixed if stage == "accumulate" else inputs).values()
         yield Accumulate(device)(image, earlier, mixed["motions"])
         output = OutputKernels(device)
-        yield from (output.carry(inputs["color"], motion) for motion in (inputs["motion"], None))
-        yield from (output.decode(image, WHITE, srgb=srgb, above=above) for srgb in (True, False) for above in (earlier[0], None))
+        for motion, srgb, highlights in ((inputs["motion"], True, "color"), (None, False, None)):
+            color, carried = output.deliver(
+                image, {"color": np.abs(inputs["color"])}, motion, srgb=srgb, highlights=highlights, white=WHITE
+            )
+            yield from (color, *carried.values())
 
 
 def conversions(device):

@@ -19,7 +19,7 @@ import pytest
 
 import stss
 from conformance.scenes import DEMO, render
-from stss.frames.accumulation import Accumulation
+from stss.frames.accumulation import Accumulation, accumulate_arrays
 from stss.frames.display_frame import prepare
 from stss.images.color import transfer
 from stss.images.headers import MAX_BYTES, MAX_CHANNELS, MAX_SIDE
@@ -143,6 +143,17 @@ def of_wrapped_buffers(device, demo, folder):
     return values, after
 
 
+def of_images(device, demo, folder):
+    image, before, two_before = np.random.default_rng(0).random((3, 2 * SIZE[0], 2 * SIZE[1], 3), np.float32)
+    window = films.film(3 * ["moving"], SIZE)
+
+    def after(scope):
+        motions = [window[-1].motion, window[-2].motion]
+        np.testing.assert_array_equal(scope["shown"], accumulate_arrays(image, [before, two_before], motions))
+
+    return {"image": image, "image_before": before, "image_two_before": two_before, "window": window, "device": device}, after
+
+
 def of_frames_ahead(device, demo, folder):
     images = []
     return {"calls": films.calls_of(films.film(4 * ["moving"], SIZE))[1:], "show": images.append}, lambda scope: len(images) == 4
@@ -173,6 +184,7 @@ NEEDS = {
     "net = Network(weights)": of_frames,
     "gbuffer = cla.Array": of_wrapped_buffers,
     "Stream(weights).frames(calls)": of_frames_ahead,
+    "accumulate = Accumulate(device)": of_images,
     "write_job(Path(": of_ports,
     "import bpy": of_blender,
 }

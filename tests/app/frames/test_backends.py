@@ -35,7 +35,7 @@ def test_threads_that_share_a_backend_take_turns(monkeypatch):
         def __init__(self, *_, **__):
             pass
 
-        def __call__(self, window, steps):
+        def __call__(self, window, steps, *, stay=False):
             inside.append(window)
             most.append(len(inside))
             time.sleep(0.01)
@@ -48,6 +48,7 @@ def test_threads_that_share_a_backend_take_turns(monkeypatch):
     device = SimpleNamespace(kind="CPU", device_class="cpu", name="n", driver="d")
     monkeypatch.setattr("stss.devices.selection.choose", lambda *_, **__: device)
     monkeypatch.setattr("stss_cl.skip.stream.Stream", Stream)
+    monkeypatch.setattr("stss_cl.image_space.accumulate.Accumulate", lambda _: None)
     monkeypatch.setattr("stss_cl.image_space.output.OutputKernels", lambda _: SimpleNamespace(load=lambda: None))
     backend = OpenCLBackend(zeros(), ComputeOptions(), print)
     with ThreadPoolExecutor(3) as threads:
