@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import TypeVar
 
 from conformance.protocol.job_folder import JobError, require_real, require_unchanged, stamps_of_inputs
-from conformance.protocol.own_session import MOST_SAID, Ending, describe, run_alone
+from conformance.protocol.own_session import Ending, describe, run_alone
 from conformance.protocol.port import Case, PortError
-from conformance.protocol.served import Server, out_of_time
+from conformance.protocol.served import OutOfTimeError, Server, TooMuchError
 
 T = TypeVar("T")
 MEMORY = Path("/dev/shm")
@@ -87,7 +87,7 @@ class Program:
                 results.append(read(job / f"{number:04d}", number))
         except JobError as error:
             at = len(results) if ran else _first_unanswered(job, len(cases))
-            silent = at == 0 and str(error) == out_of_time(self._timeout)
+            silent = at == 0 and isinstance(error, OutOfTimeError)
             raise PortError(f"{self.name}: {self._put_away(job, str(error))}", at, silent=silent) from error
         except BaseException:
             shutil.rmtree(job, ignore_errors=True)
@@ -116,8 +116,7 @@ class Program:
             except OSError as error:
                 raise NotStartedError(f"{self._command[0]}: cannot be started: {error.strerror or error}") from error
             self.stderr = ending.stderr
-        if fault := _fault_of(ending, self._timeout):
-            raise JobError(fault)
+        _require_end(ending, self._timeout)
 
     def _serving(self) -> Server | None:
         """The program, if it serves; asked once."""
@@ -167,8 +166,9 @@ def _first_unanswered(job: Path, count: int) -> int | None:
     )
 
 
-def _fault_of(ending: Ending, timeout: float) -> str:
-    """The reason to reject all of the program's outputs; "" if there is none."""
+def _require_end(ending: Ending, timeout: float) -> None:
+    """Raise JobError, a reason to reject all of the program's outputs, unless it ended well."""
     if ending.status is None:
-        return out_of_time(timeout) if not ending.has_talked else f"stopped: more than {MOST_SAID >> 20} MiB on its output"
-    return describe(ending.status) if ending.status != 0 else ""
+        raise TooMuchError if ending.has_talked else OutOfTimeError(timeout)
+    if ending.status != 0:
+        raise JobError(describe(ending.status))

@@ -26,9 +26,18 @@ READY_SECONDS = 10.0
 MOST_LINE = 1 << 16
 
 
-def out_of_time(timeout: float) -> str:
-    """The fault of a program that has not ended its job in time."""
-    return f"stopped after {timeout:g} s"
+class OutOfTimeError(JobError):
+    """A program has not ended its job within ``timeout`` seconds."""
+
+    def __init__(self, timeout: float):
+        super().__init__(f"stopped after {timeout:g} s")
+
+
+class TooMuchError(JobError):
+    """A program has written too much to its output."""
+
+    def __init__(self) -> None:
+        super().__init__(f"stopped: more than {MOST_SAID >> 20} MiB on its output")
 
 
 class Server:
@@ -70,12 +79,13 @@ class Server:
         self._output_bytes = 0
         self._err.seek(0)
         self._err.truncate()
-        wrong = self._exchange(job, timeout)
-        (job / "stderr.txt").write_bytes(os.pread(self._err.fileno(), MOST_SAID, 0))
-        self.stderr = tail(self._err)
-        if wrong:
+        try:
+            self._exchange(job, timeout)
+        except JobError:
+            self._keep_stderr(job)
             self.close()
-            raise JobError(wrong)
+            raise
+        self._keep_stderr(job)
 
     def close(self) -> None:
         """Stop it, with all that it started."""
@@ -85,28 +95,34 @@ class Server:
             with suppress(OSError):
                 file.close()
 
-    def _exchange(self, job: Path, timeout: float) -> str:
-        """The fault; "" if there was none."""
+    def _keep_stderr(self, job: Path) -> None:
+        (job / "stderr.txt").write_bytes(os.pread(self._err.fileno(), MOST_SAID, 0))
+        self.stderr = tail(self._err)
+
+    def _exchange(self, job: Path, timeout: float) -> None:
+        """Hand over a job and wait for its line; JobError if it does not come."""
         assert self._process.stdin is not None
         end = time.monotonic() + timeout
         try:
             self._process.stdin.write(f"{job}\n".encode())
             self._process.stdin.flush()
         except OSError:
-            return self._ending()
+            raise JobError(self._ending()) from None
         while True:
             try:
                 line = self._lines.get(timeout=LOOK)
             except Empty:
                 line = ""
             if line is None:
-                return self._ending()
+                raise JobError(self._ending())
+            if line == f"{END}{job}":
+                return
             if line.startswith(END):
-                return "" if line == f"{END}{job}" else f"answered for another job: expected {job}, got {line[len(END) :][:200]}"
+                raise JobError(f"answered for another job: expected {job}, got {line[len(END) :][:200]}")
             if self._too_much():
-                return f"stopped: more than {MOST_SAID >> 20} MiB on its output"
+                raise TooMuchError
             if time.monotonic() > end:
-                return out_of_time(timeout)
+                raise OutOfTimeError(timeout)
 
     def _ending(self) -> str:
         with suppress(subprocess.TimeoutExpired):

@@ -220,7 +220,9 @@ def write_page(path: Path, judge: Judge, results: Sequence[TestResult], folders:
     failures = "".join(failure_of(r, folders.get(r.id)) for r in results if r.outcome in ("failed", "error"))
     bad = [r.id for r in results if r.outcome in ("failed", "error")]
     links = ", ".join(f'<a href="#{html.escape(name)}"><code>{html.escape(name)}</code></a>' for name in bad)
-    summary = f"<p>{len(bad)} of {len(results)} tests failed: {links}</p>" if bad else ""
+    tests = [r for r in results if r.id not in OF_THE_RUN]
+    failed = f"{sum(r.id in bad for r in tests)} of {len(tests)} tests"
+    summary = f"<p>{failed} failed: {links}</p>" if bad else ""
     body = f"""<h1>{html.escape(printable(judge.port.name))} {verdict}</h1>
 <p>{arithmetic}; tier {judge.tier.name}, seed {judge.seed}; {counts["cases"]} cases; {counts["undecided"]} numbers decided by rounding,
 {counts["unjudged"]} cases not judged for that; stss {VERSION}.</p>

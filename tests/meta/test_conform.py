@@ -151,11 +151,13 @@ def test_each_output_of_a_wrong_answer_is_compared():
 
 
 def test_a_stage_that_is_required_and_lacking_is_a_failure(here):
-    outcome = run("--port", "wrong_port:Port", "--stages", "rrm", "--require", "rrm,holes", "--junit", "junit.xml")
+    files = ("--junit", "junit.xml", "--report", "page.html")
+    outcome = run("--port", "wrong_port:Port", "--stages", "rrm", "--require", "rrm,holes", *files)
     assert outcome.exit_code == 1
     assert "the run as a whole: failed: suite.required_stages_are_there: the port has no stage holes" in outcome.output
     assert " tests: failed" not in outcome.output
     assert "required_stages_are_there" in (here / "junit.xml").read_text()
+    assert "0 of 3 tests failed: " in (here / "page.html").read_text(), "what the run as a whole lacks is no test"
     outcome = run("--port", "wrong_port:Port", "--stages", "rrm", "--require", "warp")
     assert outcome.exit_code == 1
     assert "not among the stages that are judged: warp" in outcome.output
