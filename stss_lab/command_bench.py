@@ -36,7 +36,7 @@ from stss_ground.terminal import Terminal, echo
     type=Names(),
     default="cl",
     show_default=True,
-    help="Our backends: ref, cl, cl-direct, cl-half, cl-bfloat16, cl-host, cl-frame, cl-stream, cl-stream-ahead",
+    help="Our backends: ref, cl, cl-direct, cl-half, cl-bfloat16, cl-host, cl-frame, cl-stream, cl-stream-ahead, cl-push",
 )
 @click.option(
     "--peers",

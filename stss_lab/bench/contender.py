@@ -56,8 +56,8 @@ class Contender(Protocol):
     def run(self) -> None:
         """Compute the image of the prepared inputs; returns when it is complete."""
 
-    def image(self) -> Image:
-        """The result of the last ``run``, (2H, 2W, 3) float32."""
+    def image(self) -> Image | None:
+        """The result of the last ``run``, (2H, 2W, 3) float32; None if it is not that of the network or of stage ``frame``."""
         ...
 
 

@@ -36,7 +36,7 @@ TESTS = tuple(
 )
 """Tests, in the order that shows a fault soonest; tests beyond the time limit do not run."""
 
-OURS = "cl,cl-direct,cl-half,cl-host,cl-frame,cl-stream,cl-stream-ahead"
+OURS = "cl,cl-direct,cl-half,cl-host,cl-frame,cl-stream,cl-stream-ahead,cl-push"
 PEERS = (
     "pytorch-cuda,pytorch-cuda-compiled,pytorch-cuda-float32,pytorch-cuda-float32-compiled,pytorch-cuda-tf32-compiled,"
     "onnxruntime-cuda,onnxruntime-tensorrt"

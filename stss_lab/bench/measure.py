@@ -21,7 +21,7 @@ import numpy as np
 
 from stss_ground.errors import InputError
 from stss_lab.bench.contender import Setup
-from stss_lab.bench.ours import FRAMES, OURS, contender, inputs_for, truth
+from stss_lab.bench.ours import FRAMES, OURS, PUSH, contender, inputs_for, truth
 from stss_lab.bench.peers import PEERS
 from stss_ref.arrays import Image
 
@@ -44,7 +44,8 @@ class Timing:
         times: seconds of each run, in order.
         cpu_times: seconds of processor time that its process used in each run, divided by the number of threads. They equal ``times``
             on a quiet machine if all threads always have work.
-        error: largest difference from the float64 reference on the same inputs, output units; None for a contender that failed.
+        error: largest difference from the float64 reference on the same inputs, output units; None for a contender that failed, or
+            whose image has no truth.
         peak_memory: most bytes that its process had in memory, with Python and libraries; None if the system does not say.
         stages: seconds of each stage; empty for contenders that measure none.
         details: package versions, precision, layout.
@@ -130,12 +131,13 @@ def _bench_size(setup: Setup, names: Sequence[str], repeat: int, on_step: Callab
     size = setup.height, setup.width
     label = f"{size[1]}x{size[0]}"
     on_step(f"{label}: float64 reference")
-    truths = {whole: truth(inputs_for(name, setup), setup.weights) for name in names for whole in [name in FRAMES]}
+    kinds = {name in FRAMES: name for name in names if name != PUSH}
+    truths = {whole: truth(inputs_for(name, setup), setup.weights) for whole, name in kinds.items()}
     workers = [_Worker(name, setup) for name in names]
     try:
         for worker in workers:
             on_step(f"{label}: warming up {worker.name}")
-            worker.start(truths[worker.name in FRAMES])
+            worker.start(truths.get(worker.name in FRAMES))
         truths.clear()
         for i in range(repeat):
             on_step(f"{label}: run {i + 1} of {repeat}")
@@ -162,14 +164,14 @@ class _Worker:
         self._pipe, self._other_end = context.Pipe()
         self._process = context.Process(target=serve, args=(self._other_end, name, setup), daemon=True)
 
-    def start(self, want: Image) -> None:
-        """Start the process, wait until the contender is ready and warm, and compare its image with ``want``."""
+    def start(self, want: Image | None) -> None:
+        """Start the process, wait until the contender is ready and warm, and compare its image, if it has a truth, with ``want``."""
         self._process.start()
         self._other_end.close()
         ready = self._answer()
         if ready is not None:
             self._details, image = ready
-            self._error = _error(image, want)
+            self._error = None if image is None or want is None else _error(image, want)
 
     def time(self) -> None:
         """Time one run."""

@@ -12,7 +12,11 @@ from typing import Any
 
 import numpy as np
 
+from stss.frames.backends import open_backend
+from stss.frames.buffers import Buffers
+from stss.frames.compute_options import ComputeOptions
 from stss.frames.display_frame import WINDOW
+from stss.frames.supersampler import Supersampler
 from stss_ground.machine import versions
 from stss_lab.bench.contender import Contender, Setup
 from stss_lab.bench.peers import PEERS
@@ -136,8 +140,44 @@ class StreamContender:
         return self._image
 
 
+class PushContender:
+    """``stss.Supersampler.push`` as an engine calls it: NumPy arrays, frames with colour and without in turns, each computed whole.
+
+    Colours are scene-linear with highlights, images are mixed with earlier ones. So the output is not that of stage ``frame``.
+    """
+
+    frames = StreamContender.frames
+
+    def __init__(self, setup: Setup):
+        backend = open_backend("cl", setup.weights, ComputeOptions(setup.device, skip="off", accumulate=True))
+        self._loop = Supersampler(backend=backend)
+        self._frames: list[Buffers] = []
+        self.details = {**versions(("pyopencl",)), "device": backend.name, "precision": "float32", "timed": "with transfers"}
+
+    def prepare(self, inputs: FrameInputs) -> None:
+        """See `Contender`: the G-buffer is that of ``inputs``, which slides."""
+        gbuffer, color = inputs.gbuffer, 2 * inputs.colors[0]
+        planes = {"normal": gbuffer[..., :3], "depth": gbuffer[..., 3], "roughness": gbuffer[..., 4], "metallic": gbuffer[..., 5]}
+        planes |= {"base_color": gbuffer[..., 6:], "motion": inputs.motions[0], "nov": inputs.nov, "stencil": inputs.stencils[0]}
+        arrays: dict[str, Any] = {name: np.ascontiguousarray(plane) for name, plane in planes.items()}
+        for number in range(self.frames):
+            position = inputs.positions[0] + np.array((number * MOTION[0], number * MOTION[1], 0), np.float32)
+            self._frames.append(Buffers(number, None if number % 2 else color, position=position, **arrays))
+
+    def run(self) -> None:
+        """See `Contender`."""
+        self._loop.reset()
+        for buffers in self._frames:
+            self._loop.push(buffers)
+
+    def image(self) -> None:
+        """There is no truth to compare the image with."""
+
+
 _NETWORK = partial(OpenCL, module="network", name="Network", on_device=True)
 
+PUSH = "cl-push"
+"""The contender whose images have no truth."""
 OURS: dict[str, Callable[[Setup], Contender]] = {
     "cl": partial(_NETWORK, precision="float32"),
     "cl-direct": partial(_NETWORK, precision="float32-direct"),
@@ -147,11 +187,12 @@ OURS: dict[str, Callable[[Setup], Contender]] = {
     "cl-frame": partial(OpenCL, module="frame", name="Frame", precision="float32", on_device=True),
     "cl-stream": partial(StreamContender, ahead=False),
     "cl-stream-ahead": partial(StreamContender, ahead=True),
+    PUSH: PushContender,
     "ref": Reference,
 }
 """Our contenders, by the name that ``--ours`` takes; ``cl-host`` is ``cl`` with the transfers from and to NumPy arrays."""
 
-FRAMES = frozenset({"cl-frame", "cl-stream", "cl-stream-ahead"})
+FRAMES = frozenset({"cl-frame", "cl-stream", "cl-stream-ahead", PUSH})
 """Contenders that compute whole frames; the others compute the network alone."""
 
 

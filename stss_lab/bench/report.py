@@ -53,7 +53,7 @@ def _table(result: SizeResult) -> Table:
             row.name,
             *(_number(row.summary.get(name), 1e3, 1) for name in SUMMARY),
             *(_number(shares.get(name), 1, 2) for name in SUMMARY),
-            f"{row.error:.1e}",
+            "-" if row.error is None else f"{row.error:.1e}",
             _number(row.peak_memory, 2**-20, 0),
         )
         for stage, seconds in row.stages.items():

@@ -17,6 +17,7 @@ from stss_lab.bench.contender import Setup
 from stss_lab.bench.measure import SUMMARY, SizeResult, Timing, bench
 from stss_lab.bench.ours import inputs_for
 from stss_ref.weights import random as random_weights
+from stss_ref.weights import zeros
 
 WEIGHTS = random_weights(2)
 
@@ -114,6 +115,16 @@ def test_the_table_shows_stages_and_faults():
     assert ["cl", *times, *shares, "1.0e-06", "300"] in lines
     assert ["erm", "10.0"] in lines
     assert "Precision x threads: cl float32 x 2." in text
+
+
+def test_the_loop_of_an_engine_has_times_and_no_error(monkeypatch):
+    monkeypatch.setenv("STSS_TRUST_DEVICE", "1")
+    steps = []
+    (result,) = bench([setup(weights=zeros())], ["cl-push"], [], repeat=2, on_step=steps.append)
+    (row,) = result.rows
+    assert (row.fault, row.error, len(row.times)) == (None, None, 2)
+    assert next(line.split() for line in printed([result]).splitlines() if line.split()[:1] == ["cl-push"])[-2] == "-"
+    assert json.loads(bench_report.to_json([result], "abc", 2))["sizes"][0]["rows"][0]["error"] is None
 
 
 @pytest.mark.parametrize("name", ["cl", "cl-frame"])
