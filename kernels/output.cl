@@ -89,5 +89,5 @@ kernel void decode(global const float4 *restrict image, global const float4 *res
         if (highlights) c += above[i] * clip((e - low) / span);
         color[i] = c;
     }
-    if (any(infinite)) *bad = 1;
+    if (infinite.x | infinite.y | infinite.z | infinite.w) *bad = 1;
 }
