@@ -262,8 +262,9 @@ def _judge_model(
     port = load_graph_port(model, choice.spec, choice.program, choice.timeout)
     # The modules that the port has imported are read, too.
     require_places(dict(zip(("--json", "--junit", "--report"), reports, strict=True)), loaded_files())
-    options = {"dtype": choice.dtype or "float32", "winograd": choice.winograd, "tier": cases.tier, "seed": cases.seed}
-    rounding, command = Rounding(Arithmetic(choice.dtype or "float32", choice.winograd)), choice.command(path)
+    dtype = choice.dtype or model.dtype
+    options = {"dtype": dtype, "winograd": choice.winograd, "tier": cases.tier, "seed": cases.seed}
+    rounding, command = Rounding(Arithmetic(dtype, choice.winograd)), choice.command(path)
     outcome = judge_port(model, port, rounding, tier=cases.tier, seed=cases.seed, fixed=sizes, own_inputs=inputs)
     print_outcome(outcome, Terminal())
     folder = None

@@ -43,6 +43,7 @@ class Model:
         nodes: those that can be judged, in order.
         constants: by name.
         unknown: a line for each node that cannot be judged, without the nodes that depend on it.
+        dtype: its arithmetic: float16 where it stores half, else float32.
     """
 
     path: Path
@@ -51,6 +52,7 @@ class Model:
     nodes: tuple[Node, ...]
     constants: Mapping[str, AnyArray]
     unknown: tuple[str, ...]
+    dtype: str = "float32"
 
     @property
     def tensors(self) -> list[str]:
@@ -89,7 +91,11 @@ def load_model(path: Path) -> Model:
             names |= {*each.output}
     if not nodes:
         raise InputError(f"{path}: no node can be judged{': ' + unknown[0] if unknown else ''}")
-    return Model(path, inputs, tuple(each.name for each in graph.output), tuple(nodes), constants, tuple(unknown))
+    is_half = any(DTYPES.get(each.data_type) == "float16" for each in graph.initializer) or any(
+        each.dtype == "float16" for each in inputs
+    )
+    outputs = tuple(each.name for each in graph.output)
+    return Model(path, inputs, outputs, tuple(nodes), constants, tuple(unknown), "float16" if is_half else "float32")
 
 
 def _read(onnx: Any, path: Path) -> Any:

@@ -83,7 +83,9 @@ def _add_bias(r: Rounding, result: Result, b: AnyArray | None) -> Result:
     if b is None:
         return result
     x = result.x + b.reshape(-1, *[1] * (result.x.ndim - 2))
-    return Result(x, result.e + r.unit * (np.abs(x) + result.e), result.terms)
+    last = r.unit * (np.abs(x) + result.e)
+    usual = result.e / np.sqrt(result.terms) + last  # one rounding is no random walk, and may be larger than all of the sum's
+    return Result(x, result.e + last, ((result.e + last) / usual) ** 2)
 
 
 def window_of(node: Node, size: Sequence[int], kernel: Sequence[int]) -> Window:

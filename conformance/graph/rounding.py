@@ -31,7 +31,7 @@ class Result:
 
     x: AnyArray
     e: AnyArray | float = 0.0
-    terms: float = 1
+    terms: AnyArray | float = 1
 
     @property
     def errors(self) -> AnyArray:

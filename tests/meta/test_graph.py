@@ -56,6 +56,20 @@ def agrees(op, *arrays, **attributes):
         assert compare(name, ours, wide, np.asarray(got), right).ratio <= 1, (op, attributes)
 
 
+def small_model(dtype):
+    """A convolution with a bias, and what follows it."""
+    random = np.random.default_rng(0)
+    w, b = random.normal(size=(4, 3, 3, 3)).astype(dtype), random.normal(size=4).astype(dtype)
+    nodes = [helper.make_node("Conv", ["x", "w", "b"], ["y"], pads=[1] * 4), helper.make_node("Relu", ["y"], ["z"])]
+    kind = onnx.helper.np_dtype_to_tensor_dtype(np.dtype(dtype))
+    shapes = {"x": [1, 3, 8, 8], "z": [1, 4, 8, 8]}
+    x, z = (helper.make_tensor_value_info(name, kind, shape) for name, shape in shapes.items())
+    graph = helper.make_graph(
+        nodes, "small", [x], [z], [onnx.numpy_helper.from_array(w, "w"), onnx.numpy_helper.from_array(b, "b")]
+    )
+    return helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=8)
+
+
 def ints(*values):
     return np.array(values, np.int64)
 
@@ -318,6 +332,15 @@ def test_a_right_port_passes(model):
 def test_the_precision_of_one_layer_is_named(model, unit, words):
     plant = inputs(i0=lambda x: round_to(x, unit), i1=lambda w: round_to(w, unit))
     assert words in " ".join(judge_port(model, NumpyPort(model, "conv", plant), F32).wrong)
+
+
+@pytest.mark.parametrize("dtype", ["float32", "float16"])
+def test_a_right_engine_passes_where_the_bias_is_larger_than_the_sum(tmp_path, dtype):
+    """The rounding of the last sum is then the whole error, in small inputs. A model of half is judged as half."""
+    pytest.importorskip("onnxruntime")
+    onnx.save(small_model(dtype), tmp_path / "m.onnx")
+    outcome = CliRunner().invoke(conform, ["--onnx", str(tmp_path / "m.onnx"), "--port", "onnxruntime", "--tier", "full"])
+    assert outcome.exit_code == 0, outcome.output
 
 
 def test_outputs_alone_are_judged_from_the_inputs(model):
