@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import os
 import platform
+from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -34,6 +35,22 @@ def _cpuinfo(field: str) -> str:
 def available_threads() -> int:
     """Cores that this process may run on."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def container_memory(mine: Path = Path("/proc/self/cgroup"), mount: Path = Path("/sys/fs/cgroup")) -> int | None:
+    """Bytes that this process may take by its control group and those above, as containers and farms set them; None: no limit."""
+    limits: list[int] = []
+    with suppress(OSError):
+        for line in mine.read_text(encoding="utf-8").splitlines():
+            _, controllers, group = line.split(":", 2)  # version 2 has one line, without controllers
+            if controllers and "memory" not in controllers.split(","):
+                continue
+            top, name = (mount / "memory", "memory.limit_in_bytes") if controllers else (mount, "memory.max")
+            own = top / group.lstrip("/")
+            for folder in (each for each in (own, *own.parents) if each.is_relative_to(top)):
+                with suppress(OSError, ValueError):  # not there in a container, or "max"
+                    limits.append(int((folder / name).read_text(encoding="utf-8")))
+    return min(limits, default=None)
 
 
 def versions(names: tuple[str, ...]) -> dict[str, str]:

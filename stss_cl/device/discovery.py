@@ -21,6 +21,7 @@ from stss_cl.device.kernel_files import mend
 from stss_cl.device.linker import provide
 from stss_cl.device.pocl_processor import given_name, name_processor, substitute
 from stss_ground.errors import DeviceError
+from stss_ground.machine import container_memory
 
 __all__ = [
     "CLASSES",
@@ -164,8 +165,9 @@ class Properties:
 
     @property
     def memory(self) -> int:
-        """Bytes of global memory; for a CPU the machine's memory."""
-        return int(self.handle.global_mem_size)
+        """Bytes of global memory; for a CPU the machine's memory, or the part of it that the process's container may take."""
+        memory, limit = int(self.handle.global_mem_size), None if self.is_gpu else container_memory()
+        return memory if limit is None else min(memory, limit)
 
     @property
     def driver(self) -> str:

@@ -81,7 +81,7 @@ class Layers:
     ):
         weights = drop_tiny(weights)
         full, columns, dtype = ceil8(height), ceil8(width), dtype_of(precision)
-        limit = int(device.handle.global_mem_size) // 2 if memory_limit is None else memory_limit
+        limit = device.memory // 2 if memory_limit is None else memory_limit
         winograd = precision in ("float32", "half") and tuning_for(device).winograd is not None
         overlap = OVERLAP[winograd]
         rows = rows_within(full, columns, dtype, limit, overlap)

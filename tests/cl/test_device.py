@@ -16,6 +16,7 @@ from stss_cl.device import program
 from stss_cl.device.discovery import DeviceError, matching, open_device
 from stss_cl.device.launch import Kernel
 from stss_cl.device.program import program_for
+from stss_ground.machine import container_memory
 
 DEMO = "kernel void three(global float *out) { out[get_global_id(0)] = THREE; }\n"
 
@@ -44,6 +45,31 @@ def machine(monkeypatch):
     ]
     monkeypatch.setattr(devices, "find_devices", lambda: sorted(handles, key=devices.full_name))
     return handles
+
+
+@pytest.mark.parametrize(
+    ("groups", "limits", "least"),
+    [
+        ("0::/", {"memory.max": "max"}, None),
+        ("0::/", {"memory.max": "5"}, 5),
+        ("0::/a/b", {"memory.max": "9", "a/memory.max": "4", "a/b/memory.max": "max"}, 4),
+        ("9:name=systemd:/\n4:memory:/docker/x", {"memory/memory.limit_in_bytes": "6", "memory.max": "1"}, 6),  # without its path
+        ("0::/../../other", {}, None),
+        ("", {}, None),
+    ],
+)
+def test_a_container_limits_a_processors_memory(tmp_path, monkeypatch, groups, limits, least):
+    """As the kernel's files of both versions say it: OpenCL reports the machine's, and more would end the process."""
+    (tmp_path / "mine").write_text(groups)
+    for name, text in limits.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text + "\n")
+    monkeypatch.setattr(devices, "container_memory", lambda: container_memory(tmp_path / "mine", tmp_path))
+    for kind in (cl.device_type.CPU, cl.device_type.GPU):
+        handle = fake("Some", "device", kind)
+        handle.global_mem_size = 8
+        limit = 8 if kind == cl.device_type.GPU else least
+        assert devices.Properties(handle).memory == min(8, 8 if limit is None else limit)
 
 
 def run_three(device):
