@@ -19,7 +19,7 @@ from conformance.cases.stage_inputs import Inputs, make_weights
 from stss_ref.constants import HOLE_FILLS, HoleFill
 from stss_ref.weights import SECOND_COLORS, SecondColor, Weights
 
-IMAGE_SIZES: tuple[Size, ...] = ((2, 4500), (301, 3), (540, 960), (129, 66), (65, 129), (65_601, 1), (1, 65_601), (1080, 1920))
+IMAGE_SIZES: tuple[Size, ...] = ((2, 4500), (4500, 3), (540, 960), (129, 66), (65, 129), (65_601, 1), (1, 65_601), (1080, 1920))
 """(H, W) for the image stages. The third is a usual frame; then more columns or rows than 16 bits count."""
 NETWORK_SIZES: tuple[Size, ...] = ((8, 2080), (2080, 8), (136, 144), (8, 528), (264, 8), (528, 64), (264, 272))
 """(H, W) for stages of the network: at 1/8 they have up to 260 rows or columns. The third has more than two tiles of 64 both ways, the
@@ -34,6 +34,8 @@ ANY_SIZES: tuple[Size, ...] = ((7, 1_040), (1_040, 5), (67, 131), (515, 13), (25
 USER_SIZES: dict[str, Size] = {"quick": (720, 1280), "full": (1080, 1920)}
 """(H, W) of users' frames. At 720 x 1280 a feature of 24 channels has more numbers than float32 counts, and beside another more bytes
 than 128 MiB. At 1080 x 1920 there are more pixels than 20 bits count, and more than 65,535 groups of 64 numbers."""
+AGAIN: Size = (72, 136)
+"""(H, W) of two frames one after the other: all of the second one's numbers are others, and tiles of 64 end in it both ways."""
 TWICE = ("decoder", "network", "frame", "accumulate")
 """Stages with arrays of twice the rows and columns."""
 IN_FULL = ("history", "encoder", "erm", "decoder")
@@ -184,9 +186,19 @@ def large_inputs(stage: str, most: int | None = None, size: Size | None = None, 
     """
     scale = 2 if stage in TWICE else 1
     extra = [_fitting_size(stage, size)] if size is not None else []
-    own = [*_sizes(stage)[:most], *(each for each in extra if side is None or scale * max(each) <= side)]
+    again = [AGAIN, AGAIN] if most is None or most >= FEW else []
+    usual = _sizes(stage)[:most]
+    own = [*usual, *again, *(each for each in extra if side is None or scale * max(each) <= side)]
     largest = max(map(max, own), default=0) if side is None else side // scale // 8 * 8
-    return tuple(_case(stage, i, (min(height, largest), min(width, largest))) for i, (height, width) in enumerate(own))
+    cases = [_case(stage, i, (min(height, largest), min(width, largest))) for i, (height, width) in enumerate(own)]
+    if again:
+        second = len(usual) + 1
+        cases[second] = partial(_on_other_numbers, cases[second])
+    return tuple(cases)
+
+
+def _on_other_numbers(make: MakeCase, rng: Generator) -> Any:
+    return make(rng.spawn(1)[0])
 
 
 def user_inputs(stage: str, most: int, side: int | None = None) -> tuple[MakeCase, ...]:

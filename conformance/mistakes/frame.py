@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from conformance.protocol.reference_copy import Copy, Mistake, Plant, change_arguments, fault, put, returns, wrap
+from conformance.protocol.reference_copy import Copy, Mistake, Plant, change_arguments, fault, half, put, returns, wrap
 from stss_ref.detail import PLACE
 from stss_ref.frame import is_missing, stack_history
 from stss_ref.motion_chain import motion_chain
@@ -51,6 +51,15 @@ def _order(name: str, what: str, buffer: str, *order: int) -> Mistake:
 
 def _roughness_for_depth(gbuffer: Any) -> Any:
     return gbuffer[..., [0, 1, 2, 4, 4, 5, 6, 7, 8]]
+
+
+def _depth(change: Change) -> Change:
+    """A G-buffer with ``change`` of its depth."""
+    return lambda gbuffer: np.concatenate([gbuffer[..., :3], change(gbuffer[..., 3:4]), gbuffer[..., 4:]], axis=-1)
+
+
+def _of_16_bits(depth: Any) -> Any:
+    return (np.round(depth * 65535) / 65535).astype(depth.dtype)
 
 
 def _missing(inputs: Any, i: int) -> bool:
@@ -203,6 +212,15 @@ FRAME = (
     _order("position_one_off", "positions of the next newer frame", "positions", 0, 0, 1, 2),
     _other("warp_one", "roughness_for_depth", "roughness for depth in the holes", "gbuffer", _roughness_for_depth),
     _other("fill", "splat_by_roughness", "roughness for depth in the splat", "gbuffer", _roughness_for_depth),
+    *(
+        _other(where, f"{name}_{word}", f"depth in {what} {words}", "gbuffer", _depth(change))
+        for name, what, change in (("depth_of_16_bits", "16 bits", _of_16_bits), ("half_depth", "half precision", half))
+        for where, word, words in (
+            ("warp_one", "in_holes", "in the holes"),
+            ("fill", "in_splat", "in the splat"),
+            ("prepare", "everywhere", "everywhere"),
+        )
+    ),
     _other("fill", "filled_from_middle", "fills from the middle frame", "colors", lambda colors: colors[[1, 1, 2]]),
     _frame("missing_not_masked", "a missing frame keeps its mask", put("frame.is_missing", lambda steps, i: False)),
     _frame(

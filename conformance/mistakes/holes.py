@@ -89,6 +89,13 @@ def _weightless(at: Taps) -> Taps:
     return at._replace(x1=np.where(at.fx > 0, at.x1, at.x0), y1=np.where(at.fy > 0, at.y1, at.y0))
 
 
+NAN_DROPPED = put("holes.largest_distance", lambda four: np.fmax.reduce(_length(np.stack(four))))
+NAN_TRUSTED = returns("holes.between", lambda offset: np.where(np.isnan(offset).any(axis=-1, keepdims=True), 0, offset))
+NAN_NEAR = put(
+    "holes.largest_distance", lambda four: np.nan_to_num(np.fmax.reduce(_length(np.stack(four))), nan=0, posinf=np.inf)
+)
+
+
 HOLES = (
     _holes("axes_swapped", "takes dx for dy", change_arguments("holes.follow", motion=lambda motion: motion[..., ::-1])),
     _holes("not_followed", "reads the earlier buffers at p", change_arguments("holes.follow", motion=lambda motion: motion * 0)),
@@ -151,7 +158,7 @@ HOLES = (
     _distance("nearest_distance", "the smallest of four distances", lambda four: _length(four).min(axis=0)),
     _distance("first_distance", "the first of four taps", lambda four: _length(four[0])),
     _distance("squared_distance", "squared distances", lambda four: (four * four).sum(axis=-1).max(axis=0)),
-    _distance("nan_dropped", "a maximum that drops NaN", lambda four: np.fmax.reduce(_length(four))),
+    _holes("nan_dropped", "a maximum that drops NaN", NAN_DROPPED),
     _holes(
         "interpolated_position",
         "interpolates the positions, then one distance",
@@ -173,11 +180,8 @@ HOLES = (
         "the tap right of the frame is its first column",
         returns("holes.taps", lambda four, at: four._replace(x1=(four.x0 + 1) % at.x.shape[1])),
     ),
-    _holes(
-        "nan_trusted",
-        "d > 1.5 footprints: false for NaN",
-        returns("holes.between", lambda offset: np.where(np.isnan(offset).any(axis=-1, keepdims=True), 0, offset)),
-    ),
+    _holes("nan_trusted", "d > 1.5 footprints: false for NaN", NAN_TRUSTED),
+    _holes("fast_math", "a build with fast-math: NaN is never far", NAN_TRUSTED, NAN_NEAR),
     _cosine("length_of_current", "divides by the current normal's length", lambda dot, _, now: dot / (now + 1e-5)),
     _cosine("length_missing", "does not divide by the length", lambda dot, _, __: dot),
     _cosine("epsilon_missing", "no 1e-5 beside the length: no normal, no hole", lambda dot, then, _: dot / then),

@@ -204,6 +204,15 @@ WARP = (
         lambda motion: np.where(np.isfinite(motion).all(axis=-1, keepdims=True), motion, -1e9),
         FILL,
     ),
+    *(
+        _takes(
+            name,
+            f"non-finite motion is not told apart, as in a build with fast-math: NaN is clamped to the {side}",
+            lambda motion, nan=nan: np.nan_to_num(motion, nan=nan, posinf=1e9, neginf=-1e9),
+            FILL,
+        )
+        for name, side, nan in (("nan_clamped_low", "first pixel", -1e9), ("nan_clamped_high", "last pixel", 1e9))
+    ),
     _takes(
         "motion_32", "motion is clamped to 32 pixels", lambda motion: motion.clip(-32, 32), ("motion_chain", *BOTH), large=True
     ),

@@ -17,8 +17,8 @@ import numpy as np
 from conformance.protocol.weights_format import format_metadata
 from stss_ref.weights import Weights, check
 
-FURTHER = {"trained": '[{"crop": "{\\"side\\": 64}"}, "weights"]'}
-"""An entry of the metadata that no port needs, as in files of trained weights."""
+FURTHER = {"trained": '[{"crop": "{\\"side\\": 64}"}, "weights", "paper, detail, reshade"]'}
+"""An entry of the metadata that no port needs, as in files of trained weights. It has words that elsewhere would be settings."""
 ALIGNED = 8
 """The header's length is a multiple of this, as the library's is, so that the numbers are aligned."""
 DRAWN_FROM = "latentEncoder.2.weight"

@@ -5,6 +5,7 @@ import numpy as np
 from hypothesis import strategies as st
 
 from conformance.cases.every_buffer import frame_cases
+from conformance.cases.near_limits import near_frames
 from conformance.cases.stage_inputs import Inputs, frame_inputs, frame_weights, scene_inputs
 from conformance.judging.judge import Judge
 from conformance.judging.questions import Talk, ask
@@ -76,6 +77,12 @@ test_the_same_twice = same_twice("frame", cases(CASES, slow=True))
 @cases_of(frame_cases())
 def test_every_buffer_of_every_frame_counts(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """Images agree, too, on frames in which each stencil, normal, position and motion decides other pixels, at any steps."""
+    yield from judge.agrees("frame", *case)
+
+
+@cases_of(near_frames())
+def test_comparisons_need_all_bits(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
+    """What a surface's depth, view or normal has lost in fewer bits than float32's decides a hole, or which surface fills it."""
     yield from judge.agrees("frame", *case)
 
 

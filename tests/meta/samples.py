@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from conformance.cases.engine_inputs import ENGINE_STAGES, engine_inputs
 from conformance.cases.every_buffer import frame_cases
-from conformance.cases.near_limits import hardly_far, hardly_turned
+from conformance.cases.near_limits import hardly_far, hardly_turned, near_frames
 from conformance.protocol.port import Case, Outputs
 from conformance.protocol.stages import STAGES
 from conformance.tolerance import ratio
@@ -196,7 +196,7 @@ def _frame(generator: np.random.Generator) -> Any:
         )
         for second, test, fill in settings:
             yield inputs, Weights(weights_of("plain"), second, test, fill)
-    yield from (make(generator) for make in frame_cases()[::2])
+    yield from (make(generator) for make in (*frame_cases()[::2], *near_frames()))
 
 
 AHEAD: frozenset[str] = frozenset()

@@ -181,6 +181,26 @@ def test_what_is_kept_by_a_part_of_the_inputs_is_found(kept):
     assert result.record.about.startswith("the previous call differs only in this: ")
 
 
+class KeepsLarge(ReferencePort):
+    """Gives the last answer again where a frame has more than 64 rows and the last one's size."""
+
+    def __init__(self):
+        self.answer = {}
+
+    def run(self, stage, inputs, weights=None):
+        right = super().run(stage, inputs, weights)
+        first = next(iter(right.values()))
+        if len(first) <= 64 or [a.shape for a in right.values()] != [a.shape for a in self.answer.values()]:
+            self.answer = right
+        return self.answer
+
+
+@pytest.mark.parametrize("stage", ["rrm", thorough("encoder")])
+def test_what_is_kept_of_large_frames_alone_is_found(stage):
+    (result,) = run_suite(Judge(KeepsLarge(), shrink=False), [stage], only="large")
+    assert result.outcome == "failed"
+
+
 @pytest.mark.parametrize("stage", STAGES)
 def test_calls_that_are_alike_have_other_answers(stage):
     """By more than any bound: else no state would show."""

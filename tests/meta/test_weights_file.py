@@ -48,6 +48,12 @@ def test_no_two_are_laid_out_alike():
     assert {len(names["__metadata__"]) for names in headers} == {1, 2}
 
 
+def test_a_text_of_the_metadata_has_the_words_of_settings():
+    """A port that looks for them anywhere in the header finds settings that the weights do not have."""
+    texts = [header(serialise(weights))[0] for weights in SETS]
+    assert any(all(word in text for word in (b"paper", b"detail", b"reshade")) for text in texts)
+
+
 class InOrder(ReferencePort):
     """Takes the tensors by their order: that of the names, of the network, or of the first file."""
 
