@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import time
 from functools import partial
@@ -23,15 +24,17 @@ from stss.cluster.run import run_on_cluster
 from stss.frames.backends import open_backend
 from stss.frames.compute_options import ComputeOptions
 from stss.images.color import chromaticities, same_primaries
-from stss.run.frame_job import FrameReport, describe, require_one_run
-from stss.run.job import Summary, plan
+from stss.run.frame_job import FrameReport, describe, number_of, require_one_run
+from stss.run.job import Summary, folder_of, plan
 from stss.run.job import run as run_sequence
 from stss.run.options import RunOptions
 from stss.run.skip_report import Tally, describe_costs
 from stss.sequence.choose_weights import choose_weights
 from stss.sequence.reader import Sequence, SequenceOptions
+from stss_ground.arguments import listing
 from stss_ground.commands import Subcommand
 from stss_ground.option_kinds import ReadPath, WrittenFolder
+from stss_ground.output.folder import SUMS
 from stss_ground.progress import show_progress, track
 from stss_ground.terminal import Terminal, echo, printable
 from stss_ref.schedule import FrameKind
@@ -103,6 +106,7 @@ def run(
         )
         sys.exit(130)
     _report(summary, out, console)
+    _tell_of_others(summary, out, options)
     _tell(_speed(summary, frames.size, time.monotonic() - start))
     sys.exit(1 if any(frame.fault for frame in summary.frames) else 0)
 
@@ -114,6 +118,15 @@ def _tell_of_png(sequence: Sequence, options: RunOptions) -> None:
     if not same_primaries(primaries):
         words = ", ".join(f"{x:.4g}" for x in primaries)
         _tell(f"png: the colours' primaries are not sRGB's ({words}), and are not converted: a viewer shows other colours")
+
+
+def _tell_of_others(summary: Summary, out: Path, options: RunOptions) -> None:
+    """Name frames that --resume left: the sequence got shorter, or they could not be made again."""
+    made = {frame.number for frame in summary.frames if frame.outcome != "left out"}
+    first, last = options.frames or (-math.inf, math.inf)
+    names = {path.name for path in folder_of(out).present() if path.name != SUMS}
+    if others := sorted(name for name in names if number_of(name) not in made and first <= number_of(name) <= last):
+        _tell(f"of an earlier run, not of this one: {listing(others, 4)}; --overwrite removes them")
 
 
 def _tell(line: str) -> None:

@@ -146,6 +146,16 @@ def test_resume_makes_anew_what_other_settings_made(frames, plain, tmp_path):
     assert "10 kept" in require_success(stss(*again)).stderr
 
 
+def test_frames_of_a_longer_run_are_named(changeable, tmp_path):
+    """The sequence got shorter: what --resume leaves would be at the film's end."""
+    out, count = tmp_path / "out", len(list(changeable.iterdir()))
+    require_success(call("run", changeable, "-o", out, *PLAIN))
+    (changeable / f"demo.{count - 1:04d}.exr").unlink()
+    words = f"of an earlier run, not of this one: frame.{count - 1:04d}."
+    assert words in require_success(call("run", changeable, "-o", out, *PLAIN, "--resume")).stderr
+    assert "earlier run" not in require_success(call("run", changeable, "-o", out, *PLAIN, "--resume", "--frames", "0:1")).stderr
+
+
 def test_an_option_s_old_name_is_one_line(frames, plain, tmp_path):
     """``hdr`` gives the files of the default."""
     result = require_success(stss("run", frames, "-o", tmp_path / "out", *PLAIN, "--frames", "0:3", "--transfer", "hdr"))
