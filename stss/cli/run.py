@@ -78,7 +78,7 @@ def run(
     if frames.solves_camera:
         _tell("camera: from position and depth; --camera CSV gives another")
     if reading.background == "camera":
-        _tell("background: its motion is computed from the camera that positions give; the files' motion is not used there")
+        _tell("background: its motion is computed from the camera; the files' motion is not used there")
     options = RunOptions.of(frames.profile, format=suffix, keep_going=keep_going, **others)
     if suffix == "png":
         _tell_of_png(frames, options)

@@ -8,8 +8,9 @@ from typing import Literal, get_args
 import numpy as np
 
 from stss.frames.buffers import Buffers
+from stss.images.windows import PixelWindow
 from stss.sequence.projection import Projection, solve_projection
-from stss_ref.arrays import Image, Mask
+from stss_ref.arrays import Array, Image, Mask
 
 Background = Literal["files", "camera"]
 BACKGROUNDS: tuple[Background, ...] = get_args(Background)
@@ -32,6 +33,15 @@ def projection_of(frame: Buffers) -> Projection | None:
     """The camera's projection, by the positions of static geometry; None where they do not determine it in all directions."""
     projection = solve_projection(frame.position, static_surfaces(frame))
     return None if projection is None or projection.residual > LOOSE or len(projection.axes) < 3 else projection
+
+
+def projection_of_table(far: Array, display: PixelWindow, canvas: PixelWindow) -> Projection:
+    """The camera's projection of directions alone, as a table has it: see `stss.sequence.camera.CameraPose`."""
+    rows, columns = display.within(canvas)
+    height, width = display.size
+    middle = np.array([columns.start + (width - 1) / 2, rows.start + (height - 1) / 2])
+    matrix = np.concatenate([far * np.array([[1], [height / width], [1]]), np.zeros((3, 1))], axis=1)
+    return Projection(matrix, np.eye(3), np.zeros(3), middle, width / 2, 0.0)
 
 
 def background_motion(before: Projection, now: Projection, size: tuple[int, int]) -> Image:

@@ -19,6 +19,9 @@ from stss_ref.arrays import Array
 
 MAX_BYTES = 64 << 20
 """Largest size of a table; a line takes about 40 bytes."""
+PLACE = ("frame", "x", "y", "z")
+FAR = ("ux", "uy", "uz", "vx", "vy", "vz", "wx", "wy", "wz")
+"""Columns of a table; the second ones, `CameraPose.far`, may be left out."""
 ROUNDED = 1e-4
 """Largest difference of a matrix's last row from 0, 0, 0, 1: a projection's differs by about 1."""
 
@@ -30,10 +33,13 @@ class CameraPose:
     Attributes:
         position: (3,) float64.
         to_camera: (4, 4) float64, world to camera, for column vectors; None where only the position is known.
+        far: (3, 3) float64, rows u, v, w: a point infinitely far along ``d`` is seen at ``(u d, v d) / (w d)`` of the display
+            window, -1..1, x right, y down, with ``w d`` above 0 in front of the camera; None where it is not known.
     """
 
     position: Array
     to_camera: Array | None = None
+    far: Array | None = None
 
     @classmethod
     def of_matrix(cls, matrix: Array) -> CameraPose | None:
@@ -54,7 +60,7 @@ def _is_last(row: Array) -> bool:
 
 
 def read_cameras(path: Path) -> dict[int, CameraPose]:
-    """Read a table ``frame,x,y,z``, in scene units: frame number -> camera.
+    """Read a table ``frame,x,y,z``, in scene units, or one that goes on with `FAR`: frame number -> camera.
 
     Raises:
         InputError: it is not such a table or not a regular file of at most `MAX_BYTES`, or a frame appears twice.
@@ -62,29 +68,35 @@ def read_cameras(path: Path) -> dict[int, CameraPose]:
     try:
         rows = csv.reader(io.StringIO(read_regular(path, MAX_BYTES).decode("utf-8-sig"), newline=""))
         first = next(rows, ["nothing"])
-        if [word.strip() for word in first] != ["frame", "x", "y", "z"]:
-            raise InputError(f"{path}: expected the first line to be frame,x,y,z; found {','.join(first)}")
-        return _table(path, rows)
+        names = [word.strip() for word in first]
+        if names not in (list(PLACE), [*PLACE, *FAR]):
+            raise InputError(
+                f"{path}: expected the first line to be {','.join(PLACE)}, which {','.join(FAR)} may follow; found {','.join(first)}"
+            )
+        return _table(path, rows, len(names) - 1)
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from error
     except (UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"{path}: cannot be read: {error}") from error
 
 
-def _table(path: Path, rows: Iterable[list[str]]) -> dict[int, CameraPose]:
+def _table(path: Path, rows: Iterable[list[str]], width: int) -> dict[int, CameraPose]:
     cameras: dict[int, CameraPose] = {}
     for line, row in enumerate(rows, start=2):
         if not row:
             continue
         try:
-            number, position = int(row[0]), np.array([float(word) for word in row[1:4]])
+            number, values = int(row[0]), np.array([float(word) for word in row[1:]])
         except ValueError:
-            number, position = -1, np.empty(0)
-        if len(row) != 4 or position.shape != (3,) or not np.isfinite(position).all():
-            raise InputError(f"{path}: line {line}: expected a frame number and three numbers; found {','.join(row)}")
+            number, values = -1, np.empty(0)
+        if len(values) != width or not np.isfinite(values).all():
+            raise InputError(f"{path}: line {line}: expected a frame number and {width} numbers; found {','.join(row)}")
+        far = values[3:].reshape(3, 3) if width > 3 else None
+        if far is not None and np.linalg.matrix_rank(far) < 3:
+            raise InputError(f"{path}: line {line}: {','.join(FAR)} show no picture: the three rows lie in one plane")
         if number in cameras:
             raise InputError(f"{path}: line {line}: frame {number} appears twice")
-        cameras[number] = CameraPose(position)
+        cameras[number] = CameraPose(values[:3], far=far)
     return cameras
 
 

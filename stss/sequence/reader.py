@@ -16,7 +16,7 @@ from stss.frames.buffers import Buffers
 from stss.frames.display_frame import WINDOW
 from stss.images.headers import MAX_BYTES, MAX_SIDE, Header, read_header
 from stss.images.windows import PixelWindow, union
-from stss.sequence.background import Background, background_motion, projection_of
+from stss.sequence.background import Background, background_motion, projection_of, projection_of_table
 from stss.sequence.camera import CameraPose, camera_of, read_cameras
 from stss.sequence.channels import MissingBuffersError, Source, find_sources, layers_of, view_of
 from stss.sequence.conventions import linear_depth, require_depth_buffer, to_specification
@@ -161,16 +161,20 @@ class Sequence:
             number = buffers.number - (now is not None)
             raise InputError(
                 f"{self._where(buffers.number)}: --background camera: positions of static geometry in frame {number} do not give the "
-                "camera: too few, or all in one plane; let static geometry off the plane be seen, or write the background's motion "
-                "into the files"
+                "camera: too few, or all in one plane; let static geometry off the plane be seen, give a --camera table with its "
+                "directions, or write the background's motion into the files"
             )
         motion = np.where(background, background_motion(before, now, self.size), buffers.motion)
         return replace(buffers, motion=motion)
 
     def _projection(self, number: int, buffers: Buffers | None = None) -> Projection | None:
-        """A frame's projection; the last few are kept."""
+        """A frame's projection, of the camera's table if it has one; the last few are kept."""
         if number not in self._projections:
             self._projections = {n: projection for n, projection in self._projections.items() if abs(n - number) <= WINDOW}
+            camera = self._frame(number).camera
+            if camera is not None and camera.far is not None:
+                self._projections[number] = projection_of_table(camera.far, self.display, self.canvas)
+                return self._projections[number]
             self._projections[number] = projection_of(buffers or self._load(number, color=False))
         return self._projections[number]
 
@@ -328,7 +332,7 @@ def open_sequence(
     Args:
         path: a folder with one sequence of EXR files, or a pattern like ``folder/name.####.exr``.
         profile: a built-in profile's name, a TOML file, or a profile; None: the built-in one whose channels the first frame has.
-        camera: CSV ``frame,x,y,z``, in the profile's unit of length; takes precedence over the camera in the files.
+        camera: CSV of `read_cameras`, in the profile's unit of length; takes precedence over the camera in the files.
         metallic: constant for files that have no metallic, in [0, 1].
         roughness: the same for roughness.
         non_finite: the policy for non-finite colours, normals, base colours, roughness, metallic, NoV and stencils.

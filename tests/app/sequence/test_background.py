@@ -6,7 +6,9 @@ import pytest
 from conformance.scenes import SCENES, render
 from stss.check_sequence.report import check
 from stss.demo import demo_path, frame_channels
-from stss.images.read_write import read_header, write_channels
+from stss.images.read_write import read_channels, read_header, write_channels
+from stss.sequence.background import projection_of
+from stss.sequence.camera import FAR, PLACE
 from stss.sequence.reader import SequenceOptions, open_sequence
 from stss_ground.errors import InputError
 from tests.app.conftest import PLAIN
@@ -84,6 +86,25 @@ def test_the_camera_gives_the_background_its_motion(tmp_path, scene):
             assert (scene != "pan") or np.abs(b.motion[missed]).max() > TURNS
         else:
             assert not b.motion[missed].any()
+
+
+@pytest.mark.parametrize("scene", ["pan", "demo", "flythrough"])
+def test_a_table_gives_it_where_nothing_rests(tmp_path, scene):
+    """By directions alone: every surface moves, so no position says where the camera is."""
+    write(tmp_path / "right", scene), write(tmp_path / "in", scene, lambda m: 0 * m)
+    right, lines = open_sequence(tmp_path / "right", "stss"), [",".join([*PLACE, *FAR])]
+    for number in range(FRAMES):
+        far = projection_of(right.load(number)).far * [[1], [SIZE[1] / SIZE[0]], [1]]  # a share of the height, not of the width
+        lines.append(",".join(map(str, [number, 0, 0, 0, *far.ravel()])))
+        path = demo_path(tmp_path / "in", number)
+        write_channels(
+            path, {**(planes := read_channels(path, read_header(path).channels)), "stencil.X": planes["stencil.X"] * 0 + 1}
+        )
+    (tmp_path / "camera.csv").write_text("\n".join(lines))
+    sequence = open_sequence(tmp_path / "in", "stss", camera=tmp_path / "camera.csv", background="camera")
+    for number in range(1, FRAMES):
+        a, b = right.load(number), sequence.load(number)
+        assert np.abs(a.motion - b.motion)[~np.isfinite(a.depth)].max() < RIGHT
 
 
 def test_a_run_says_where_the_motion_is_from(tmp_path):

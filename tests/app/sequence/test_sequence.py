@@ -173,11 +173,16 @@ def test_nov_from_the_camera(write_frames, tmp_path):
     assert (sequence.load(2).nov[1:] < 0).all()
 
 
+WIDE = "frame,x,y,z,ux,uy,uz,vx,vy,vz,wx,wy,wz"
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "expected the first line to be frame,x,y,z; found nothing"),
-        ("frame,x,y,z\n\n1,0,0,nan\n", "line 3: expected a frame number and three numbers"),
+        ("", "expected the first line to be frame,x,y,z, which ux,.* may follow; found nothing"),
+        ("frame,x,y,z\n\n1,0,0,nan\n", "line 3: expected a frame number and 3 numbers"),
+        (f"{WIDE}\n1,0,0,0\n", "line 2: expected a frame number and 12 numbers"),
+        (f"{WIDE}\n1,0,0,0,1,0,0,0,1,0,1,1,0\n", "line 2: ux,.*,wz show no picture"),
         ("frame,x,y,z\n1,0,0,0\n1,0,0,0\n", "line 3: frame 1 appears twice"),
         ("frame,x,y,z\n2,0,0,0\n", "no line for frame 1"),
     ],
