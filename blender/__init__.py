@@ -46,7 +46,10 @@ def folder_of(path: str) -> Path:
         raise film.FilmError("Folder: expected one, found nothing")
     if path.startswith("//") and not bpy.data.filepath:
         raise film.FilmError(f"Folder: {path} lies beside the .blend: save it first, or name a whole path")
-    return Path(bpy.path.abspath(path))
+    found = Path(bpy.path.abspath(path))
+    if not found.is_absolute():
+        raise film.FilmError(f"Folder: {path}: expected a whole path, or one that begins with // beside the .blend")
+    return found
 
 
 class Settings(bpy.types.PropertyGroup):
@@ -74,7 +77,7 @@ class SetUp(bpy.types.Operator):
         layer, here = layer_of(scene), scene.frame_current
         for line in set_up(layer):
             self.report({"WARNING"}, line)
-        survey(scene, layer, range(scene.frame_start, scene.frame_end + 1))
+        survey(scene, layer, range(scene.frame_start, scene.frame_end + 1), film.half_size(scene))
         scene.frame_set(here)
         return {"FINISHED"}
 
@@ -111,7 +114,8 @@ class Render(bpy.types.Operator):
         while result is None:
             result, line = self.step()
             if result is None and line != before:
-                self.report({"INFO"}, line)
+                # Blender prints what an operator reports only when it ends.
+                print(line, flush=True)  # noqa: T201
             before = line
         return result
 
@@ -141,7 +145,8 @@ class Render(bpy.types.Operator):
         film.require(scene, cuts)
         for line in film.unused(scene):
             self.report({"WARNING"}, line)
-        warnings, cuts = yield from film.render(scene, folder, cuts)
+        first = scene.frame_start
+        warnings, cuts = yield from film.render(scene, folder, cuts, lambda: film.try_first(folder, first, command, options))
         out, lines = yield from film.supersample(folder, cuts, command, options)
         image, count = film.load(out), scene.frame_end - scene.frame_start + 1
         for line in warnings:

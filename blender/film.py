@@ -13,14 +13,14 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Collection, Generator, Sequence
+from collections.abc import Callable, Collection, Generator, Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import bpy
 
-from .passes import changed, layer_of, set_up, survey, write_camera
+from .passes import COLUMNS, changed, layer_of, set_up, survey, write_camera
 
 GBUFFER_SAMPLES = 4
 """Samples of frames that are not rendered: base colour and normals need few, light needs none."""
@@ -42,7 +42,9 @@ class FilmError(RuntimeError):
     """The scene cannot be rendered or supersampled; the message is one line."""
 
 
-def render(scene: Any, folder: Path, cuts: Collection[int] = ()) -> Generator[str, None, tuple[list[str], list[int]]]:
+def render(
+    scene: Any, folder: Path, cuts: Collection[int] = (), trial: Callable[[], Iterable[str]] = tuple
+) -> Generator[str, None, tuple[list[str], list[int]]]:
     """Write ``folder/lr/frame.NNNN.exr`` for every frame of the scene and ``folder/camera.csv``.
 
     The first frame of each shot and every second one after it have the scene's own samples; the others are rendered for their
@@ -53,9 +55,10 @@ def render(scene: Any, folder: Path, cuts: Collection[int] = ()) -> Generator[st
         scene: the scene.
         folder: new, empty or of an earlier render.
         cuts: frames at which shots begin, beside those at which a marker changes the camera.
+        trial: called after the first frame: whatever fails need not wait for the last one.
 
     Yields:
-        A line before each frame.
+        A line before each frame, and those of the trial.
 
     Returns:
         Lines for the user, see `passes.set_up`; and the first frames of all shots but the first.
@@ -75,15 +78,22 @@ def render(scene: Any, folder: Path, cuts: Collection[int] = ()) -> Generator[st
             old.unlink()  # from an earlier render, which was longer or was stopped
     try:
         yield "looking at what moves"
-        cameras = survey(scene, layer, numbers)
+        cameras = survey(scene, layer, numbers, half_size(scene))
         write_camera(cameras, folder / "camera.csv")
         switches = {cameras[i][0] for i in range(1, len(cameras)) if cameras[i][1] != cameras[i - 1][1]}
         starts = sorted(switches.union(cuts))
+        keeps = (
+            _has_plan(folder, f"{half_size(scene)} pixels, shots from {[numbers[0], *starts]}") and not scene.render.use_overwrite
+        )
         for number, path in files.items():
+            if keeps and path.is_file():
+                continue
             yield f"rendering frame {number}, {number - numbers[0] + 1} of {len(numbers)}"
             start = max([numbers[0], *(cut for cut in starts if cut <= number)])
             with changed(*_small(scene, layer)):
                 _frame(scene, layer, number, path, colour=(number - start) % 2 == 0)
+            if number == numbers[0]:
+                yield from trial()
     finally:
         scene.frame_set(here)
     return warnings, starts
@@ -99,6 +109,8 @@ def require(scene: Any, cuts: Collection[int] = ()) -> None:
         raise FilmError(f"expected the engine Cycles, found {scene.render.engine}: only Cycles writes the pass Object Index")
     if scene.camera is None:
         raise FilmError("the scene has no camera")
+    if any(camera.data.type == "ORTHO" for camera in _cameras(scene)):
+        raise FilmError("Camera, Type: expected Perspective, found Orthographic: for it Cycles writes a wrong Vector pass")
     if layer_of(scene) is None:
         raise FilmError("no view layer has Use for Rendering on")
     if scene.render.use_multiview:
@@ -110,11 +122,21 @@ def require(scene: Any, cuts: Collection[int] = ()) -> None:
             raise FilmError(f"Options: --cuts {cut}: expected frames of {scene.frame_start + 1} to {scene.frame_end}")
 
 
+def _cameras(scene: Any) -> set[Any]:
+    """The scene's camera, and those of its markers."""
+    marked = {marker.camera for marker in scene.timeline_markers if marker.camera is not None and marker.frame <= scene.frame_end}
+    return {scene.camera, *marked}
+
+
 def unused(scene: Any) -> list[str]:
     """A line for each setting of the scene that the frames will not have."""
     render, edit, layer, lines = scene.render, scene.sequence_editor, layer_of(scene), []
     if render.use_motion_blur:
         lines.append("Motion Blur: not in these frames; with it Cycles writes no Vector pass")
+    if any(camera.data.type != "PERSP" for camera in _cameras(scene)):
+        lines.append("Camera, Panoramic: where it turns, every second frame shows the background of the frame before")
+    if render.use_border:
+        lines.append("Render Region: the frames are whole, since each takes colours from beyond the region of another")
     if any(other.use for other in scene.view_layers if other != layer):
         lines.append(f"view layers: {layer.name} alone is rendered")
     # Blender 5 has a group of nodes, and use_nodes for ever on.
@@ -135,6 +157,12 @@ def full_size(scene: Any) -> tuple[int, int]:
     return render.resolution_x * render.resolution_percentage // 100, render.resolution_y * render.resolution_percentage // 100
 
 
+def half_size(scene: Any) -> tuple[int, int]:
+    """Width and height of the frames that `render` writes."""
+    width, height = full_size(scene)
+    return (width + 1) // 2, (height + 1) // 2
+
+
 def take(folder: Path) -> None:
     """Make the folder, or take that of an earlier render.
 
@@ -146,7 +174,15 @@ def take(folder: Path) -> None:
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise FilmError(f"{folder}: holds files that no render of this extension wrote; expected an empty folder")
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / MARK).write_text("The Blender extension of stss writes here.\n")
+    (folder / MARK).touch()
+
+
+def _has_plan(folder: Path, plan: str) -> bool:
+    """Whether the frames there are of the same size and shots; writes down that they are from now on."""
+    text = f"The Blender extension of stss writes here: {plan}\n"
+    before = (folder / MARK).read_text()
+    (folder / MARK).write_text(text)
+    return text == before
 
 
 def harmless(options: str) -> list[str]:
@@ -189,14 +225,21 @@ def _small(scene: Any, layer: Any) -> list[tuple[Any, str, Any]]:
     """
     render, image = scene.render, scene.render.image_settings
     kind = [(image, "media_type", "MULTI_LAYER_IMAGE")] if hasattr(image, "media_type") else []  # Blender 5
-    width, height = full_size(scene)
+    width, height = half_size(scene)
     return [
-        (render, "resolution_x", (width + 1) // 2),
-        (render, "resolution_y", (height + 1) // 2),
+        (render, "resolution_x", width),
+        (render, "resolution_y", height),
         (render, "resolution_percentage", 100),
         *(
             (render, name, False)
-            for name in ("use_motion_blur", "use_compositing", "use_sequencer", "use_single_layer", "use_file_extension")
+            for name in (
+                "use_motion_blur",
+                "use_border",
+                "use_compositing",
+                "use_sequencer",
+                "use_single_layer",
+                "use_file_extension",
+            )
         ),
         *((other, "use", False) for other in scene.view_layers if other != layer),
         (render, "filepath", render.filepath),
@@ -233,6 +276,20 @@ def _frame(scene: Any, layer: Any, number: int, path: Path, *, colour: bool) -> 
         raise FilmError(f"frame {number}: {reason}") from error
 
 
+def try_first(folder: Path, number: int, command: Sequence[str], options: Sequence[str]) -> Generator[str]:
+    """Run ``stss run`` on the first frame of `render` alone, whose output is thrown away.
+
+    Raises:
+        FilmError: with the message of stss, on its options, device or weights.
+    """
+    with tempfile.TemporaryDirectory() as place:
+        alone = Path(place)
+        (alone / "lr").mkdir()
+        shutil.copy(folder / "lr" / f"frame.{number:04d}.exr", alone / "lr")
+        shutil.copy(folder / "camera.csv", alone)
+        yield from supersample(alone, (), command, [*options, "--frames", f"{number}:{number}"])
+
+
 def supersample(
     folder: Path, cuts: Sequence[int], command: Sequence[str] = (), options: Sequence[str] = ()
 ) -> Generator[str, None, tuple[Path, list[str]]]:
@@ -258,6 +315,8 @@ def supersample(
     out, total = folder / "out", len([*(folder / "lr").glob("frame.*.exr")])
     words = [*(command or (sys.executable, "-P", "-m", "stss")), "run", str(folder / "lr"), "-o", str(out)]
     words += ["--profile", "blender", "--camera", str(folder / "camera.csv"), "--overwrite", *options]
+    if COLUMNS[-1] in (folder / "camera.csv").read_text(encoding="utf-8").partition("\n")[0]:
+        words += ["--background", "camera"]  # Cycles writes no motion there
     words += ["--cuts", ",".join(map(str, cuts))] if cuts else []
     # Our packages come before those of Blender's Python. -P: no module beside the .blend is imported.
     environment = os.environ if command else {**os.environ, "PYTHONPATH": str(PACKAGES)}

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Generator, Iterable, Iterator
+from collections.abc import Collection, Generator, Iterable, Iterator
 from contextlib import contextmanager
 from hashlib import sha256
 from pathlib import Path
@@ -17,8 +17,8 @@ AOVS = {"basecolor": "COLOR", "metallic": "VALUE", "roughness": "VALUE"}
 """Name to type."""
 SOCKETS = {"basecolor": "Base Color", "metallic": "Metallic", "roughness": "Roughness"}
 """AOV to the input of the Principled BSDF that it shows."""
-
-
+COLUMNS = ("frame", "x", "y", "z", "ux", "uy", "uz", "vx", "vy", "vz", "wx", "wy", "wz")
+"""Of the camera's table; those behind z may be left out."""
 GEOMETRY = {"MESH", "CURVE", "SURFACE", "META", "FONT", "CURVES", "POINTCLOUD", "VOLUME"}
 """Kinds of object that are drawn."""
 
@@ -72,22 +72,28 @@ def _show(material: Any) -> bool:
     return True
 
 
-def survey(scene: Any, layer: Any, frames: Iterable[int]) -> list[tuple[int, Any, tuple[float, ...]]]:
-    """Step through the frames: record the camera's position in each, and give every moving object its own pass index.
+def survey(scene: Any, layer: Any, frames: Iterable[int], size: tuple[int, int]) -> list[tuple[int, Any, tuple[float, ...]]]:
+    """Step through the frames: record the camera in each, and give every moving object its own pass index.
 
     Movement is found in the evaluated scene, not guessed from its keys: objects, particles and other instances by their matrices,
     armatures, shape keys, simulations and geometry nodes by the vertices that they yield. 0 stays for objects at rest.
 
+    Args:
+        scene: the scene.
+        layer: the view layer that is rendered.
+        frames: their numbers.
+        size: width and height of the frames.
+
     Returns:
-        For each frame its number, its camera and the camera's place in units of the scene.
+        For each frame its number, its camera and the numbers of `write_camera`.
     """
     cameras: list[tuple[int, Any, tuple[float, ...]]] = []
     first: dict[Any, Any] = {}
     moving: dict[Any, None] = {}
     for number in frames:
         scene.frame_set(number)
-        cameras.append((number, scene.camera, (*scene.camera.matrix_world.translation,)))
         layer.update()
+        cameras.append((number, scene.camera, _numbers(scene, layer.depsgraph, size)))
         for thing, instance, pose in _poses(layer.depsgraph):
             if first.setdefault((thing, instance), pose) != pose:
                 moving[thing] = None
@@ -137,9 +143,22 @@ def _vertices(thing: Any) -> bytes:
     return sha256(places).digest()
 
 
-def write_camera(cameras: Iterable[tuple[int, Any, tuple[float, ...]]], path: Path) -> None:
-    """Write where the camera is at each frame: ``frame,x,y,z`` in units of the scene."""
-    lines = ["frame,x,y,z", *(f"{number},{x:.9g},{y:.9g},{z:.9g}" for number, _, (x, y, z) in cameras)]
+def _numbers(scene: Any, graph: Any, size: tuple[int, int]) -> tuple[float, ...]:
+    """Where the camera is; and the rows by which the background, infinitely far away, is seen, if a matrix says it."""
+    camera, render = scene.camera, scene.render
+    place = (*camera.matrix_world.translation,)
+    if camera.data.type != "PERSP":
+        return place
+    seen = camera.calc_matrix_camera(graph, x=size[0], y=size[1], scale_x=render.pixel_aspect_x, scale_y=render.pixel_aspect_y)
+    u, v, _, w = seen @ camera.matrix_world.normalized().inverted()
+    return (*place, *u[:3], *(-x for x in v[:3]), *w[:3])  # stss has y down
+
+
+def write_camera(cameras: Collection[tuple[int, Any, tuple[float, ...]]], path: Path) -> None:
+    """Write the table of ``stss run --camera``, in units of the scene."""
+    width = 1 + min(len(numbers) for _, _, numbers in cameras)
+    rows = [",".join([str(number), *(f"{x:.9g}" for x in numbers[: width - 1])]) for number, _, numbers in cameras]
+    lines = [",".join(COLUMNS[:width]), *rows]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 

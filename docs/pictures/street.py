@@ -336,7 +336,8 @@ def main():
     warnings = set_up(scene.view_layers[0])
     assert not warnings, warnings
     (out / "lr").mkdir(parents=True, exist_ok=True)
-    write_camera(survey(scene, scene.view_layers[0], FRAMES), out / "camera.csv")
+    size = scene.render.resolution_x, scene.render.resolution_y
+    write_camera(survey(scene, scene.view_layers[0], FRAMES, size), out / "camera.csv")
     for number in FRAMES:
         scene.frame_set(number)
         scene.render.filepath = str(out / "lr" / f"frame.{number:04d}.exr")

@@ -142,14 +142,24 @@ def trap(out):
         setattr(of, name, value)
         refused[name] = press()
         setattr(of, name, before)
+    scene.camera.data.type = "ORTHO"
+    refused["camera"] = press()
+    scene.camera.data.type = "PERSP"
+    scene.stss.folder, here = "trap", scene.stss.folder
+    refused["relative"] = press()
+    scene.stss.folder = here
     scene.stss.options += " --cuts 1001"
     refused["cuts"] = press()
+    scene.stss.options = "--format jpg"
+    refused["format"] = press()
+    tried = len([*(out / "trap" / "lr").iterdir()])
     scene.stss.options = "--backend ref --weights bilinear --cuts=1006"
     before = (scene.render.resolution_x, scene.render.use_compositing, scene.view_layers[2].use)
     outcome = press()
     image = bpy.data.images["stss"]
     return {
         "refused": refused,
+        "tried": tried,
         "done": outcome,
         "kept": before == (scene.render.resolution_x, scene.render.use_compositing, scene.view_layers[2].use),
         "index": [thing.pass_index for thing in things],
@@ -174,11 +184,24 @@ def main():
     # A device's kernels take a minute to compile; the reference has the same network.
     scene.stss.options = "--backend ref"
     again = bpy.ops.stss.render()
+    files = sorted((out / "film" / "lr").iterdir())
+    before_keeping = [path.stat().st_mtime_ns for path in files]
+    files[3].unlink()
+    scene.render.use_overwrite = False
+    bpy.ops.stss.render()
+    kept = [path.stat().st_mtime_ns == time for path, time in zip(files, before_keeping, strict=True)]
+    scene.render.resolution_x += 2
+    bpy.ops.stss.render()
+    renewed = [path.stat().st_mtime_ns == time for path, time in zip(files, before_keeping, strict=True)]
+    scene.render.resolution_x -= 2
+    scene.render.use_overwrite = True
+    bpy.ops.stss.render()
     scene.stss.options = "--cuts 99"
     report = {
         "state": [*state, *again],
         "refused": press(),
         "kept": before == settings(scene),
+        "overwrite": [kept, renewed],
         "image": bpy.data.images["stss"].source,
         "index": [scene.objects["Plane"].pass_index, monkey.pass_index],
         "python": sys.path,

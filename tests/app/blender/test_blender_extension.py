@@ -110,6 +110,8 @@ def test_no_module_beside_the_scene_is_imported(film, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", ["", *sys.path])
     monkeypatch.setattr(film, "PACKAGES", ROOT)
+    (tmp_path / "film").mkdir()
+    (tmp_path / "film" / "camera.csv").touch()
     with pytest.raises(film.FilmError, match=r"camera\.csv|lr") as error:
         for _ in film.supersample(tmp_path / "film", 0):
             pass
@@ -150,6 +152,7 @@ def test_a_frame_is_whole_or_not_there(film, tmp_path, monkeypatch, written, fre
 
 def test_the_program_ends_with_the_operator(film, tmp_path):
     """Esc closes the generator."""
+    (tmp_path / "camera.csv").touch()
     steps = film.supersample(tmp_path, 0, [sys.executable, "-c", f"""
 import pathlib, time
 pathlib.Path({str(tmp_path / "started")!r}).touch()
@@ -245,11 +248,14 @@ def test_a_scene_becomes_supersampled_frames_without_a_hand_on_it(bpy_python, pa
     assert report["state"] == ["FINISHED"] * 2
     assert "--cuts 99: expected frames of 2 to 8" in report["refused"]
     assert report["kept"], "settings of the scene were changed for good"
+    assert report["overwrite"] == [[number != 4 for number in range(1, 9)], [False] * 8]
+    first, saved = process.stdout.index("rendering frame 2, 2 of 8"), process.stdout.index("frame.0003.exr.part'")
+    assert first < saved, "progress is printed when all is done"
     assert report["image"] == "SEQUENCE"
     assert report["index"][0] == 0 < report["index"][1]
     assert not [place for place in [*report["python"], report["numpy"]] if str(tmp_path) in place and "packages" in place]
     film = tmp_path / "film"
-    assert len((film / "camera.csv").read_text().splitlines()) == 9
+    see_camera(film)
     names = [f"frame.{number:04d}.exr" for number in range(1, 9)]
     assert sorted(path.name for path in film.glob("*/frame*")) == sorted(names * 2)
     for number, name in enumerate(names, 1):
@@ -279,11 +285,28 @@ def test_a_scene_becomes_supersampled_frames_without_a_hand_on_it(bpy_python, pa
     assert rows[0][2] < rows[1][2], "more samples, no better"
 
 
+def see_camera(film):
+    """A surface lies in the direction in which its own pixel looks: by the rows that give the background its motion."""
+    table = np.loadtxt(film / "camera.csv", delimiter=",", skiprows=1)
+    assert table.shape == (8, 13)
+    names = [f"ViewLayer.Position.{axis}" for axis in "XYZ"]
+    place = np.stack([*read_channels(film / "lr" / "frame.0003.exr", names).values()], axis=-1).reshape(-1, 3)
+    y, x = (axis.ravel() for axis in np.mgrid[:32, :48])
+    u, v, w = table[2, 4:].reshape(3, 3) @ (place - table[2, 1:4]).T
+    floor = place[:, 2] == 0
+    error = np.abs([(u / w + 1) * 24 - 0.5 - x, (v / w + 1) * 16 - 0.5 - y])[:, floor]
+    assert floor.sum() > 100
+    assert np.median(error) < 0.3, "the mean of four samples lies nearer to the middle than half a pixel"
+    assert read_header(film / "out" / "frame.0002.exr").attributes["stss:background"] == "motion from the camera"
+
+
 def see_trap(report, folder, output):
     """The scene of `blender_film.make_trap`: refused before an hour is spent; moving objects have numbers; a marker's cut is a cut."""
     assert {name: line.strip().split(": ")[1] for name, line in report["refused"].items()} == {
-        "unsaved": "Folder", "use_multiview": "Stereoscopy", "frame_step": "Frame Range, Step", "cuts": "Options"
+        "unsaved": "Folder", "use_multiview": "Stereoscopy", "frame_step": "Frame Range, Step", "cuts": "Options",
+        "camera": "Camera, Type", "relative": "Folder", "format": "stss",
     }  # fmt: skip
+    assert report["tried"] == 1, "a wrong value is told after the first frame, not after the last"
     assert report["done"] == "{'FINISHED'}"
     assert report["kept"]
     assert sorted(report["index"]) == [0, 1, 2, 3], "armature, shape key, instance of a collection; the plane rests"
