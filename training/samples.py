@@ -295,6 +295,8 @@ def make(
     reading: SequenceOptions,
 ) -> None:
     """``python -m training.samples``."""
+    if sequence is None and not analytic:
+        raise InputError("expected --sequence LR HR or --analytic N, found neither")
     if sequence:
         low, high = sequence
         name = name or low.resolve().parent.name

@@ -12,6 +12,7 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from hashlib import sha256
 from pathlib import Path
 
 import torch
@@ -37,8 +38,9 @@ from training.validate import Means, bilinear, evaluating, tensors, validate
 
 @dataclass(frozen=True)
 class Settings:
-    """Options that change the numbers of a run, besides the data; a resumed run may have more steps.
+    """What changes the numbers of a run; a resumed run may have more steps.
 
+    ``data``: a digest of the shards' names and splits: the best score so far is that of their validation frames.
     ``young``: the factor of `infancy`. ``squares``: the share of the squared error in the loss that stays after it.
     ``history``: whether the history is used.
     ``structure``, ``structure_ef``: the perceptual distance over 1 - SSIM, in SFs and in EFs.
@@ -69,6 +71,7 @@ class Settings:
     second_color: SecondColor = "newest"
     hole_fill: HoleFill = "occlusion_warp"
     steady: float = 0.0
+    data: str = ""
 
 
 @dataclass(frozen=True)
@@ -214,6 +217,26 @@ def train(out: Path, shards: list[Shard], state: State, settings: Settings, plan
             since = time.perf_counter()
 
 
+def device_of(name: str) -> torch.device:
+    """PyTorch's device.
+
+    Raises:
+        InputError: there is none of this name here.
+    """
+    try:
+        device = torch.device(name)
+        torch.zeros((), device=device)
+    except (RuntimeError, AssertionError) as error:
+        raise InputError(f"--device {name}: {str(error).splitlines()[0]}") from error
+    return device
+
+
+def digest_of(shards: Sequence[Shard]) -> str:
+    """The number of shards, and a digest of their names and splits."""
+    names = "\n".join(f"{shard.name} {shard.split}" for shard in shards)
+    return f"{len(shards)} shards, {sha256(names.encode()).hexdigest()[:8]}"
+
+
 def options() -> argparse.ArgumentParser:
     """The command line."""
     parser = argparse.ArgumentParser(prog="python -m training.train", description=__doc__)
@@ -268,7 +291,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if args.initial is not None and not args.resume:
         for path in filter(Path.exists, (args.out / name for name in FILES)):
             require_places({"--out": path}, [Path(args.initial)])
-    device = torch.device(args.device)
+    device = device_of(args.device)
     initial = None if args.initial is None else load(args.initial).weights
     shards = load_shards(args.data, initial)
     half = args.half == "on" or (args.half == "auto" and device.type == "cuda")
@@ -292,6 +315,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         second_color=args.second_color or ("newest" if initial is None else initial.second_color),
         hole_fill=shards[0].hole_fill,
         steady=args.steady,
+        data=digest_of(shards),
     )
     state = start(settings, device, args.initial)
     path = args.out / "state.safetensors"

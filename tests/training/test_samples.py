@@ -206,6 +206,11 @@ def test_a_film_of_another_fill_size_or_split_is_made_again(tmp_path, capsys):
     assert json.loads((tmp_path / "analytic-00000-aliased" / "index.json").read_text())["split"] == "test"
 
 
+def test_samples_of_nothing_are_refused(tmp_path):
+    with pytest.raises(InputError, match="expected --sequence LR HR or --analytic N, found neither"):
+        module.main(["-o", str(tmp_path / "out"), "--split", "training"])
+
+
 def test_frames_rendered_at_half_rate_are_refused_and_nothing_is_left(tmp_path):
     """Such as those of ``stss demo``, the first that a user has."""
     low, high = tmp_path / "lr", tmp_path / "hr"

@@ -1,6 +1,7 @@
 """A short run, and one that is stopped and resumed."""
 
 import json
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -142,6 +143,18 @@ def test_a_run_is_not_overwritten_and_not_mixed(data, tmp_path):
         run(data, tmp_path, 4)
     with pytest.raises(InputError, match="made with seed 0, not 1"):
         run(data, tmp_path, 4, "--resume", "--seed", "1")
+    folder = next(path.parent for path in data.rglob("index.json"))
+    shutil.copytree(folder, tmp_path / "others" / "film")
+    with pytest.raises(InputError, match=r"made with data \d+ shards, \w+, not 1 shards, \w+; resume"):
+        run(tmp_path / "others", tmp_path, 4, "--resume")
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU of this name")
+def test_a_device_that_is_not_there_is_one_line(data, tmp_path):
+    for name in ("cuda", "gpu"):
+        with pytest.raises(InputError, match=f"--device {name}: .+"):
+            run(data, tmp_path / "run", 4, "--device", name)
+    assert not (tmp_path / "run").exists()
 
 
 def test_batches_are_half_and_half_and_depend_on_the_step_alone(data):
