@@ -17,6 +17,7 @@ import numpy as np
 
 import stss
 from stss.images.color import transfer
+from stss.sequence.background import BACKGROUNDS, Background
 from stss.sequence.find_files import find_frames
 from stss.sequence.find_profile import settle_profile
 from stss.sequence.profiles import profile_names
@@ -48,21 +49,22 @@ class LoadFrames:
             "required": {
                 "folder": ("STRING", {"default": "", "tooltip": "a folder, or a pattern like folder/name.####.exr"}),
                 "profile": (["auto", *profile_names()],),
+                "background": (list(BACKGROUNDS), {"tooltip": "camera: for files without its motion, such as Blender's"}),
                 "first": ("INT", {"default": 0, "min": 0, "max": 10**9, "tooltip": "0: the first there is"}),
                 "count": ("INT", {"default": 16, "min": 1, "max": 10_000, "tooltip": "display frames; 12 MiB each at 960 x 540"}),
             }
         }
 
     @classmethod
-    def IS_CHANGED(cls, folder: str, profile: str, first: int, count: int) -> str:  # noqa: N802
+    def IS_CHANGED(cls, folder: str, profile: str, background: Background, first: int, count: int) -> str:  # noqa: N802
         """Another value once a file is another one: the frames are then read again."""
         table = settle_profile(_path(folder), None if profile == "auto" else profile)
         frames = find_frames(_path(folder), table.endings)
         return repr([(n, path.stat().st_mtime_ns) for n in sorted(frames) for path in frames[n].values()])
 
-    def load(self, folder: str, profile: str, first: int, count: int) -> tuple[Any, GBuffer]:
+    def load(self, folder: str, profile: str, background: Background, first: int, count: int) -> tuple[Any, GBuffer]:
         """Read ``count`` display frames; every second one from the first rendered one counts as rendered."""
-        sequence = stss.open_sequence(_path(folder), None if profile == "auto" else profile)
+        sequence = stss.open_sequence(_path(folder), None if profile == "auto" else profile, background=background)
         start = min((n for n in sequence.rendered if n >= first), default=None)
         if start is None:
             raise InputError(f"{folder}: no rendered frame from {first} on")

@@ -61,7 +61,9 @@ def call(nodes, name, **inputs):
 
 def test_a_graph_of_both_nodes_makes_what_stss_makes(nodes, demo):
     assert nodes.NODE_CLASS_MAPPINGS.keys() == nodes.NODE_DISPLAY_NAME_MAPPINGS.keys()
-    images, gbuffer = call(nodes, "StssLoadFrames", folder=str(demo / "frames"), profile="auto", first=0, count=4)
+    images, gbuffer = call(
+        nodes, "StssLoadFrames", folder=str(demo / "frames"), profile="auto", background="files", first=0, count=4
+    )
     assert tuple(images.shape) == (2, 18, 32, 3)
     assert images.numpy().min() >= 0
     assert images.numpy().max() <= 1
@@ -80,8 +82,19 @@ def test_a_graph_of_both_nodes_makes_what_stss_makes(nodes, demo):
     assert frames.numpy().dtype == holes.numpy().dtype == np.float32
 
 
+def test_the_background_moves_with_the_camera(nodes, demo):
+    """The option reaches the sequence."""
+    options = {"folder": str(demo / "frames"), "profile": "stss", "first": 0, "count": 2}
+    moves = call(nodes, "StssLoadFrames", **options, background="camera")[1].frames[1].motion
+    want = stss.open_sequence(demo / "frames", "stss", background="camera").load(1).motion
+    np.testing.assert_array_equal(moves, want)
+    assert (moves != stss.open_sequence(demo / "frames", "stss").load(1).motion).any()
+
+
 def test_images_that_other_nodes_made_are_shown(nodes, demo):
-    images, gbuffer = call(nodes, "StssLoadFrames", folder=str(demo / "frames"), profile="stss", first=1, count=2)
+    images, gbuffer = call(
+        nodes, "StssLoadFrames", folder=str(demo / "frames"), profile="stss", background="files", first=1, count=2
+    )
     assert gbuffer.rendered == (True, False)
     assert gbuffer.frames[0].number == 2
     grey = type(images)(np.full(images.shape, 0.25, np.float32)) if isinstance(images, Tensor) else images * 0 + 0.25
@@ -90,13 +103,13 @@ def test_images_that_other_nodes_made_are_shown(nodes, demo):
     with pytest.raises(InputError, match=r"images: expected the 1 rendered frames, \(1, 18, 32, 3\); found \(0, 18, 32, 3\)"):
         call(nodes, "StssSupersample", images=images[:0], gbuffer=gbuffer, weights="bilinear", backend="ref")
     with pytest.raises(InputError, match="no rendered frame from 9 on"):
-        call(nodes, "StssLoadFrames", folder=str(demo / "frames"), profile="stss", first=9, count=2)
+        call(nodes, "StssLoadFrames", folder=str(demo / "frames"), profile="stss", background="files", first=9, count=2)
 
 
 def test_a_folder_as_it_is_pasted_and_a_frame_that_is_missing(nodes, demo, tmp_path):
     """A display frame that is left out without a word would shift all sound and motion behind it."""
     shutil.copytree(demo / "frames", tmp_path / "a b")
-    options = {"folder": f'"{tmp_path / "a b"}"\n', "profile": "auto", "first": 0, "count": 4}
+    options = {"folder": f'"{tmp_path / "a b"}"\n', "profile": "auto", "background": "files", "first": 0, "count": 4}
     assert call(nodes, "StssLoadFrames", **options)[1].rendered == (True, False, True, False)
     sorted((tmp_path / "a b").iterdir())[1].unlink()
     with pytest.raises(InputError, match="frame 1: not there"):
@@ -108,7 +121,7 @@ def test_progress_and_files_that_changed(nodes, demo, monkeypatch):
     bar = SimpleNamespace(ProgressBar=lambda count: SimpleNamespace(update=steps.append))
     monkeypatch.setitem(sys.modules, "comfy", SimpleNamespace(utils=bar))
     monkeypatch.setitem(sys.modules, "comfy.utils", bar)
-    options = {"folder": str(demo / "frames"), "profile": "auto", "first": 0, "count": 2}
+    options = {"folder": str(demo / "frames"), "profile": "auto", "background": "files", "first": 0, "count": 2}
     images, gbuffer = call(nodes, "StssLoadFrames", **options)
     call(nodes, "StssSupersample", images=images, gbuffer=gbuffer, weights="bilinear", backend="ref")
     assert steps == [1, 1]
@@ -124,7 +137,7 @@ def test_a_frame_of_several_files_changed(nodes, demo, tmp_path):
         for ending in ("Image", "Depth"):
             shutil.copyfile(file, tmp_path / f"{ending}{number}.exr")
     changed = nodes.NODE_CLASS_MAPPINGS["StssLoadFrames"].IS_CHANGED
-    options = {"folder": str(tmp_path), "profile": "blender-files", "first": 0, "count": 2}
+    options = {"folder": str(tmp_path), "profile": "blender-files", "background": "files", "first": 0, "count": 2}
     before = changed(**options)
     assert before == changed(**options)
     path = max(tmp_path.iterdir())
