@@ -86,6 +86,8 @@ def main() -> None:
     parser.add_argument("--platform", choices=PLATFORMS, default=this_platform(), help="default: this platform")
     parser.add_argument("--python", choices=PYTHONS, default="3.11", help="3.11 for Blender 4.2 to 5.0, 3.13 for later versions")
     options = parser.parse_args()
+    if not options.output.parent.is_dir():
+        parser.error(f"-o {options.output}: expected a folder that is there, found none")
     part = options.output.with_name(f".{options.output.name}.part")
     with tempfile.TemporaryDirectory(prefix="stss-") as folder:
         print(f"packages of stss run for {options.platform}, Python {options.python}: from the package index, some 80 MB")

@@ -176,6 +176,13 @@ def test_another_engine_is_refused_before_anything_is_rendered(film):
         film.require(scene)
 
 
+def test_a_zip_for_no_folder_is_refused_before_packages_are_fetched(tmp_path):
+    words = [sys.executable, ROOT / "blender" / "build.py", "-o", tmp_path / "no" / "x.zip"]
+    process = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert (process.returncode, process.stdout) == (2, "")
+    assert "no/x.zip: expected a folder that is there" in process.stderr
+
+
 def test_an_extension_without_packages_says_so(film, tmp_path):
     with pytest.raises(film.FilmError, match="no stss: install the zip"):
         next(film.supersample(tmp_path, 0))
