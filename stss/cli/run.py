@@ -89,7 +89,8 @@ def run(
     first, last = options.frames or (frames.numbers[0], frames.numbers[-1])
     start, tally = time.monotonic(), Tally()
     try:
-        with show_progress(console, last - first + 1, text="building kernels") as advance:
+        waits = "building kernels" if cluster is None else "waiting for workers"
+        with show_progress(console, last - first + 1, text=waits) as advance:
 
             def on_frame(report: FrameReport) -> None:
                 advance(tally.add(report.cost))

@@ -9,9 +9,13 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
+from click.testing import CliRunner
 from rich.console import Console
 
+from stss.cli import run
+from stss.cli.main import stss as command
 from stss_ground import progress
+from stss_ground.errors import InputError
 from stss_ground.progress import show_progress, show_steps
 from stss_lab.bench import gpu_report
 from stss_lab.stress import measure
@@ -92,3 +96,17 @@ def test_every_long_command_has_a_bar_with_the_time_left(folder, tmp_path, monke
     process = call(*command.split())
     assert process.returncode in (0, 1), process.stderr
     assert re.search(r"\D([1-9]\d*)/\1\D.* left", process.stderr)
+
+
+@pytest.mark.parametrize(
+    ("more", "words"), [([], "building kernels"), (["--cluster", "tcp://127.0.0.1:1"], "waiting for workers")]
+)
+def test_what_a_run_waits_for(tmp_path, write_frames, monkeypatch, more, words):
+    """A scheduler that does not answer builds no kernels."""
+
+    def stop(console, total, text):
+        raise InputError(text)
+
+    monkeypatch.setattr(run, "show_progress", stop)
+    result = CliRunner().invoke(command, ["run", str(write_frames([0, 1])), "-o", str(tmp_path / "out"), *PLAIN, *more])
+    assert words in str(result.exception) + result.output
