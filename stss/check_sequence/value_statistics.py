@@ -56,6 +56,8 @@ class Values:
         self._stencils: set[float] = set()
         self._non_finite: dict[str, str] = {}
         self._footprints: list[float] = []
+        self._black: list[int] = []
+        """The numbers of frames in which nothing was hit, and that are black: as farms leave those that failed."""
         self._before: tuple[int, Array, NDArray[np.intp]] | None = None
         """The number of the last frame, the object numbers in it, and the pixels of each."""
         self._middles: tuple[int, dict[float, Array]] = (0, {})
@@ -85,6 +87,8 @@ class Values:
         count["negative stencils"] += int((buffers.stencil < 0).sum())
         self._count_new_objects(buffers)
         self._add_middles(buffers)
+        if buffers.color is not None and not (hit.any() or buffers.color.any()):
+            self._black.append(buffers.number)
         if hit.any():
             farthest = buffers.depth == buffers.depth[hit].max()
             count["farthest without normal"] += int((farthest & (buffers.normal == 0).all(axis=-1)).sum())
@@ -215,6 +219,11 @@ class Values:
     def buffer_lines(self, hint: str | None = None) -> list[Line]:
         """Findings that need no files; ``hint``: what to do where no motion was rendered."""
         lines: list[Line] = []
+        if self._counts["hit"] and self._black:
+            frames = ", ".join(map(str, self._black[:8]))
+            lines.append(
+                ("warning", f"colour: black in frames {frames}, in which nothing was hit, unlike in others: not rendered?")
+            )
         if not self._counts["hit"]:
             lines.append(("warning", "depth: nothing was hit anywhere; expected linear depths > 0"))
         elif self._most.get("normal") == 0:

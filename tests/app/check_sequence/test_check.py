@@ -226,6 +226,20 @@ def test_values(write_frames, changes, expected):
     assert report.status == (2 if any(level == "error" for level, _ in expected) else 1)
 
 
+def test_a_frame_that_a_farm_left_black_is_named(write_frames):
+    """All channels are 0. A night without light, or a sky alone, is none."""
+
+    def change(number, channels):
+        for name, plane in channels.items():
+            if number == 2 or (number == 1 and name in "RGB") or (number == 3 and name == "depth.Z"):
+                plane[:] = 0
+
+    report = check(write_frames([1, 2, 3], change=change), SequenceOptions("stss"))
+    assert [line for line in texts(report, "warning") if "black" in line] == [
+        "colour: black in frames 2, in which nothing was hit, unlike in others: not rendered?"
+    ]
+
+
 @pytest.mark.parametrize(("pace", "level"), [(3, "warning"), (0, "note")])
 def test_an_object_that_moves_shows_that_motion_was_not_rendered(write_frames, pace, level):
     """As Cycles with motion blur: the Vector pass is 0, and the camera rests."""
