@@ -158,18 +158,23 @@ FILES = ("weights.safetensors", "best.safetensors", "state.safetensors")
 
 
 def keep(out: Path, state: State, means: Means) -> None:
-    """Write ``weights.safetensors``, also as ``best.safetensors`` if its score is the best, and last the checkpoint."""
+    """Write ``weights.safetensors``, also as ``best.safetensors`` if its score is the best, and last the checkpoint.
+
+    Of step 0 only the best: those that the run starts from, until a step is better.
+    """
     weights, metadata = (
         to_weights(state.average, state.settings["second_color"], state.settings["hole_fill"]),
         {"steps": str(state.step), "validation": json.dumps(means)},
     )
     metadata["settings"] = json.dumps(state.settings)
-    save(out / "weights.safetensors", weights, metadata)
+    if state.step:
+        save(out / "weights.safetensors", weights, metadata)
     mean = (means["SF"] + means["EF"]) / 2
     if mean > state.best:
         state.best = mean
         save(out / "best.safetensors", weights, metadata)
-    checkpoint.write(out / "state.safetensors", state)
+    if state.step:
+        checkpoint.write(out / "state.safetensors", state)
 
 
 def train(out: Path, shards: list[Shard], state: State, settings: Settings, plan: Plan, device: torch.device) -> None:
@@ -178,10 +183,9 @@ def train(out: Path, shards: list[Shard], state: State, settings: Settings, plan
     log.cut(state.step)
     if state.step == 0:
         before = {"bilinear": bilinear, "initial": evaluating(state.average, state.network)}
-        log(
-            step=0,
-            **{name: validate(model, shards, "validation", most=plan.most, device=device) for name, model in before.items()},
-        )
+        scores = {name: validate(model, shards, "validation", most=plan.most, device=device) for name, model in before.items()}
+        log(step=0, **scores)
+        keep(out, state, scores["initial"])
     batches = Batches(
         shards,
         side=settings.crop,

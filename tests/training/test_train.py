@@ -51,6 +51,15 @@ def test_the_log_begins_with_the_weights_that_it_starts_from(data, tmp_path):
     assert {name: first["initial"][name] for name in ("SF", "EF")} == pytest.approx({n: last[n] for n in ("SF", "EF")}, abs=1e-3)
 
 
+def test_the_best_weights_are_never_worse_than_those_at_the_start(data, tmp_path):
+    run(data, tmp_path / "first", 40)
+    run(data, tmp_path / "second", 4, "--initial", str(tmp_path / "first" / "weights.safetensors"), "--rate", "9")
+    first, best, last = (load(tmp_path / f"{name}.safetensors") for name in ("first/weights", "second/best", "second/weights"))
+    assert best.metadata["steps"] == "0"
+    assert all(np.array_equal(best.weights[name], array) for name, array in first.weights.items())
+    assert last.label != best.label
+
+
 def test_samples_have_the_fill_that_the_weights_name(data, tmp_path):
     """Else weights trained further would lose `reshade`, and a measurement would be of other inputs than the program's."""
     weights = tmp_path / "reshade.safetensors"
