@@ -94,7 +94,8 @@ def make_trap(mine):
     scene.view_layers.new("zweite Ebene ö")
     scene.view_layers[0].use = False
     scene.view_layers.new("third")
-    scene.use_nodes = scene.render.use_motion_blur = True
+    scene.use_nodes = scene.render.use_motion_blur = scene.render.use_border = True
+    scene.render.border_max_x = 0.5
     write_files(scene, mine)
     edit = scene.sequence_editor_create()
     (edit.strips if hasattr(edit, "strips") else edit.sequences).new_effect(

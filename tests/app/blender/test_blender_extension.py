@@ -320,7 +320,14 @@ def see_trap(report, folder, output):
     assert report["index"][-1] == 0
     assert report["image"] == [str(folder / "trap" / "out" / "frame.1001.exr"), True]
     assert not (folder / "mine").exists(), "the compositor wrote small frames over the user's files"
-    for line in ("Motion Blur: not", "view layers: zweite Ebene ö alone", "Compositor: not", "Sequencer: not", "66 x 46 pixels"):
+    for line in (
+        "Render Region: the frames are whole",
+        "Motion Blur: not",
+        "view layers: zweite Ebene ö alone",
+        "Compositor: not",
+        "Sequencer: not",
+        "66 x 46 pixels",
+    ):
         assert f"Warning: {line}" in output or f"size: the frames have {line}" in output, line
     kinds = {}
     for path in sorted((folder / "trap" / "out").glob("*.exr")):
@@ -337,6 +344,7 @@ def see_trap(report, folder, output):
         *(name for name in read_header(first).channels if re.search("IndexOB|Object Index", name)),
     ]
     ball, index = read_channels(first, names).values()
+    assert (index[:, index.shape[1] // 2 :] > 0).any(), "beyond the region"
     assert np.median(ball[index == report["index"][2]]) > 0.4, "a material that only an instance uses"
     assert {int(number) for number in np.unique(index)} == {0, 1, 2, 3}
 
