@@ -35,7 +35,8 @@ def _motion(rng: Generator, size: Size) -> NDArray[np.float64]:
     """(H, W, 2) motion, half of it still, as often by -0 as by 0, and some of it lost."""
     still = rng.choice([0.0, -0.0], (*size, 2))
     motion = np.where(rng.random((*size, 1)) < 0.5, still, rng.integers(-6, 7, (*size, 2)) / 4)
-    motion[rng.random(size) < NOT_FINITE, rng.integers(2)] = rng.choice([np.nan, np.inf, -np.inf])
+    lost = rng.random(size) < NOT_FINITE
+    motion[lost, rng.integers(2, size=lost.sum())] = rng.choice([np.nan, np.inf, -np.inf], lost.sum())
     return motion
 
 

@@ -100,7 +100,8 @@ def motions(draw: st.DrawFn, size: Size, *, broken: bool = False) -> Float64:
     else:
         motion = kinds[kind].copy()
     if broken and draw(st.integers(0, 7)) == 0:
-        motion[random.random(size) < 0.2, random.integers(2)] = draw(st.sampled_from([np.nan, np.inf, -np.inf]))
+        lost = random.random(size) < 0.2
+        motion[lost, random.integers(2, size=lost.sum())] = random.choice([np.nan, np.inf, -np.inf], lost.sum())
     return motion.astype(np.float32).astype(np.float64)
 
 

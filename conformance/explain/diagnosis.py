@@ -105,9 +105,11 @@ def _others(judge: Judge, stage: str) -> list[_Answer]:
 
 
 def _telling_cases(stage: str) -> Sequence[Callable[[np.random.Generator], Any]]:
-    """Engines' values, constants, frames of any steps; random ones in several windows for the network's; a large one for rrm."""
+    """Engines' values, constants, far motion, frames of any steps; random ones for the network's; a large one for rrm."""
     if stage in ENGINE_STAGES:
-        return (*engine_inputs(stage), *constant_cases(stage), *(frame_cases() if stage == "frame" else ()))
+        # Reshaded, a frame of many columns takes long.
+        far = large_inputs(stage, 1) if stage not in ("frame", "reshade") else ()
+        return (*engine_inputs(stage), *constant_cases(stage), *(frame_cases() if stage == "frame" else ()), *far)
     if STAGES[stage].weights:
         return (partial(network_case, stage, TELLING_SIZE.get(stage, (40, 56))),)
     return large_inputs(stage, 1)

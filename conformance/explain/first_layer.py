@@ -13,6 +13,9 @@ from conformance.protocol.layers import LAYERS_OF, check_layers
 from conformance.protocol.port import Outputs, PortError, error_text, foreign_code
 from stss_ref.arrays import ArrayError
 
+END_WITH_LAYERS = frozenset(("history", "encoder"))
+"""Stages whose outputs are layers: nothing is computed behind them."""
+
 
 def first_departure(judge: Judge, finding: Finding) -> str:
     """Words on the first layer that departs; empty if the stage has none."""
@@ -32,6 +35,8 @@ def first_departure(judge: Judge, finding: Finding) -> str:
         if largest(right[name].closer(got[name]), got[name]) > 1:
             before = f"; the {i} before it are right" if i > 1 else f"; {there[0]} before it is right" if i else ""
             return f"first departs at layer {describe(name, got[name], right[name])}{before}"
+    if case.stage in END_WITH_LAYERS and len(there) == len(specs):
+        return f"each of the {len(there)} layers is within its own bound, and nothing comes after the last one"
     return f"none of the {len(there)} layers that the port returns departs, so what comes after {there[-1]} does"
 
 

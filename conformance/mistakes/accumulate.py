@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from conformance.mistakes.image import READS
-from conformance.protocol.reference_copy import Copy, Mistake, change_arguments, fault, put, returns, wrap
+from conformance.protocol.reference_copy import Copy, Mistake, change_arguments, fault, half, put, returns, wrap
 from stss_ref.accumulate import box
 from stss_ref.constants import EARLIER_SHARES
 from stss_ref.resample import upsample_centres
@@ -148,6 +148,7 @@ def _halves(moved: Any) -> Any:
 
 
 ACCUMULATE = (
+    _accumulate("half_output", "shown in half precision", returns("accumulate.accumulate", half)),
     _takes("undoubled", "low-resolution motion for display pixels", motions=lambda motions: motions / 2),
     _takes("backwards", "follows the motion backwards", motions=np.negative),
     _takes("lost_at_its_place", "non-finite motion counts as 0", motions=lambda motions: np.where(np.isfinite(motions), motions, 0)),

@@ -89,6 +89,17 @@ def _weightless(at: Taps) -> Taps:
     return at._replace(x1=np.where(at.fx > 0, at.x1, at.x0), y1=np.where(at.fy > 0, at.y1, at.y0))
 
 
+def _snorm(vectors: Any, bits: int) -> Any:
+    most = 2 ** (bits - 1) - 1
+    return (np.round(vectors * most) / most).astype(vectors.dtype)
+
+
+def _of_quads(sides: tuple[Any, Any], axis: int) -> tuple[Any, Any]:
+    before, after = sides
+    odd = np.indices(before.shape)[axis] % 2 == 1
+    return np.where(odd, before, np.inf), np.where(odd, np.inf, after)
+
+
 NAN_DROPPED = put("holes.largest_distance", lambda four: np.fmax.reduce(_length(np.stack(four))))
 NAN_TRUSTED = returns("holes.between", lambda offset: np.where(np.isnan(offset).any(axis=-1, keepdims=True), 0, offset))
 NAN_NEAR = put(
@@ -110,6 +121,14 @@ HOLES = (
     _takes("nov_clamped", "max(NoV, 0) for |NoV|", nov=lambda nov: np.maximum(nov, 0)),
     _takes("depth_reversed", "1 - depth for depth", depth=lambda depth: 1 - depth),
     _takes("depth_of_16_bits", "depth in 16 bits", depth=lambda depth: np.round(depth * 65535) / np.float32(65535)),
+    *(
+        _takes(
+            f"normals_of_{bits}_bits",
+            f"normals in {bits} bits",
+            **dict.fromkeys(("normal", "normal_previous"), partial(_snorm, bits=bits)),
+        )
+        for bits in (8, 10)
+    ),
     _takes("normals_in_half", "earlier normals in half precision", normal_previous=half),
     _valid("inverted", "1 in the holes", np.logical_not),
     _holes("off_screen_missing", "off screen is no hole", put("holes.leads_inside", lambda at: np.ones(at.x.shape, bool))),
@@ -146,6 +165,11 @@ HOLES = (
         "footprint_of_the_farther", "the farther neighbour", lambda before, after: np.maximum(_finite(before), _finite(after))
     ),
     _nearer("footprint_to_the_right", "the right and the lower neighbour", lambda _, after: _finite(after)),
+    _holes(
+        "footprint_of_quads",
+        "neighbours within quads of 2 x 2, as ddx and ddy have them",
+        returns("holes.neighbours", _of_quads),
+    ),
     _nearer("footprint_infinite", "without a neighbour nothing is far", np.minimum),
     _holes(
         "footprint_across",
@@ -181,7 +205,7 @@ HOLES = (
         returns("holes.taps", lambda four, at: four._replace(x1=(four.x0 + 1) % at.x.shape[1])),
     ),
     _holes("nan_trusted", "d > 1.5 footprints: false for NaN", NAN_TRUSTED),
-    _holes("fast_math", "a build with fast-math: NaN is never far", NAN_TRUSTED, NAN_NEAR),
+    _holes("fast_math", "NaN is never far: d > limit, or a build with fast-math", NAN_TRUSTED, NAN_NEAR),
     _cosine("length_of_current", "divides by the current normal's length", lambda dot, _, now: dot / (now + 1e-5)),
     _cosine("length_missing", "does not divide by the length", lambda dot, _, __: dot),
     _cosine("epsilon_missing", "no 1e-5 beside the length: no normal, no hole", lambda dot, then, _: dot / then),
@@ -236,6 +260,14 @@ def _where_it_moves(pixels: tuple[Any, Any], at: Place, order: Any) -> tuple[Any
     return np.where((at.fx > 0).ravel()[order, None], x, x[:, :1]), y
 
 
+def _where_it_weighs(pixels: tuple[Any, Any], at: Place, order: Any) -> tuple[Any, Any]:
+    x, y = pixels
+    return (
+        np.where((at.fx > 0).ravel()[order, None], x, x[:, :1]),
+        np.where((at.fy > 0).ravel()[order, None], y, y[:, :1]),
+    )
+
+
 OCCLUSION_WARP = (
     _order("last_of_equals", "<= for <: the last of equal depths stays", _last_of_equals),
     _order("last_written", "no depth test", lambda _, writes: np.flatnonzero(writes)),
@@ -243,11 +275,13 @@ OCCLUSION_WARP = (
     _nearest("farthest", "the farthest surface stays", np.negative),
     _nearest("depth_of_8_bits", "depth in 8 bits", lambda depth: np.floor(depth * 255)),
     _nearest("depth_of_24_bits", "depth in 24 bits", lambda depth: np.floor(depth.astype(np.float64) * (2**24 - 1))),
+    _nearest("depth_of_16_bits", "depth in 16 bits", lambda depth: np.round(depth * 65535)),
     _nearest("half_depth", "depth in half precision", half),
     _nearest("minus_zero", "depth by its bits: -0 is the farthest", lambda depth: np.where(np.signbit(depth), 99, depth)),
     _fill("starts_at_1", "the depth buffer starts at 1: a background at 1 does not splat", put("occlusion_warp.FARTHEST", 1.0)),
     _pixels("one_pixel", "writes one pixel of four", lambda xy: (xy[0][:, :1], xy[1][:, :1])),
     _pixels("weighted_pixels", "whole-pixel motion writes no right neighbour", _where_it_moves),
+    _pixels("weightless_pixels", "whole-pixel motion writes no right and no lower neighbour", _where_it_weighs),
     _pixels("corner_must_land", "drops all four where the first is outside", _if_first_lands),
     _writes("truncated_splat", "trunc for floor in the splat", lambda at: at._replace(x=at.x + ((at.x < 0) & (at.fx > 0)))),
     _writes("rounded_splat", "splats around the nearest pixel", lambda at: at._replace(x=at.x + (at.fx >= 0.5))),

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from conformance.protocol.reference_copy import Mistake, change_arguments, fault, half, put, returns, wrap
+from conformance.protocol.reference_copy import Copy, Mistake, change_arguments, fault, half, put, returns, wrap
 from stss_ref.motion_chain import gather_bilinear, gather_nearest, read_motion, squared_lengths, truncated
 from stss_ref.sample import Place, Taps, leads_inside
 
@@ -115,6 +115,16 @@ MOTION_CHAIN = (
     _longest(
         "sum_of_absolutes", "length as |dx| + |dy|", lambda _, corners: np.nan_to_num(np.abs(corners).sum(axis=-1), nan=np.inf)
     ),
+    _longest(
+        "largest_component",
+        "length as max(|dx|, |dy|)",
+        lambda _, corners: np.nan_to_num(np.abs(corners).max(axis=-1), nan=np.inf),
+    ),
+    _longest(
+        "column_by_column",
+        "of equally long ones that below before that to the right",
+        lambda length: np.where(length == length.max(axis=0), np.array([4, 2, 3, 1])[:, None, None], -1),
+    ),
     _longest("nan_loses", "a non-finite motion is the shortest", lambda length: np.where(length < np.inf, length, -1)),
     _still("zero_ignored", "a still one among the four does not win", lambda four: np.zeros(four.shape[1:3], bool)),
     _still("zero_component", "dx = 0 alone counts as still", lambda four: (four == 0).any(axis=(0, -1))),
@@ -149,6 +159,7 @@ MOTION_CHAIN = (
 
 
 _warp = partial(fault, "warp")
+FAST_MATH = "non-finite motion is not told apart, as in a build with fast-math"
 
 
 def _takes(name: str, what: str, change: Change, also: tuple[str, ...] = BOTH, **marks: Any) -> Mistake:
@@ -184,6 +195,24 @@ def _image(name: str, what: str, change: Change) -> Mistake:
     return _warp(name, what, returns("warp.warp", lambda result: (change(*result), result[1])))
 
 
+def _border_of_0(copy: Copy) -> None:
+    """Each of the four pixels is 0 where it lies outside the frame."""
+
+    def taps(at: Place) -> Taps:
+        return Taps(at.x, at.y, at.x + 1, at.y + 1, at.fx, at.fy)
+
+    def corners(image: Any, at: Taps) -> list[Any]:
+        height, width, _ = image.shape
+        return [
+            np.where(((y >= 0) & (y < height) & (x >= 0) & (x < width))[..., None], _clamped(image, x, y), 0)
+            for y in (at.y0, at.y1)
+            for x in (at.x0, at.x1)
+        ]
+
+    copy.put("warp.taps", taps)
+    copy.put("sample.corners", corners)
+
+
 def _tile_seam(at: Place) -> Place:
     at.y[8::16] -= 1
     return at
@@ -207,11 +236,15 @@ WARP = (
     *(
         _takes(
             name,
-            f"non-finite motion is not told apart, as in a build with fast-math: NaN is clamped to the {side}",
+            what,
             lambda motion, nan=nan: np.nan_to_num(motion, nan=nan, posinf=1e9, neginf=-1e9),
             FILL,
         )
-        for name, side, nan in (("nan_clamped_low", "first pixel", -1e9), ("nan_clamped_high", "last pixel", 1e9))
+        for name, what, nan in (
+            ("nan_clamped_low", f"{FAST_MATH}: NaN is clamped to the first pixel", -1e9),
+            ("nan_clamped_high", f"{FAST_MATH}: NaN is clamped to the last pixel", 1e9),
+            ("infinity_clamped", "infinite motion is clamped, and only NaN told apart", np.nan),
+        )
     ),
     _takes(
         "motion_32", "motion is clamped to 32 pixels", lambda motion: motion.clip(-32, 32), ("motion_chain", *BOTH), large=True
@@ -265,6 +298,16 @@ WARP = (
     _fractions("nearest", "the nearest pixel", np.round),
     _fractions("texture_fraction", "a texture sampler, whose fraction has 8 bits", lambda t: np.floor(t * 256) / 256, FILL),
     _image("border_black", "0 outside the frame", lambda warped, inside: warped * inside[..., None]),
+    _warp("sampler_border_0", "a sampler with a border of 0: each pixel outside the frame reads as 0", _border_of_0),
+    _image("half_output", "warped colours in half precision", lambda warped, _: half(warped)),
+    _image(
+        "last_group",
+        "the last pixels stay 0, where they fill no group of 64",
+        lambda image, _: (
+            image.reshape(-1, image.shape[-1])
+            * (np.arange(image.shape[0] * image.shape[1]) < image.shape[0] * image.shape[1] // 64 * 64)[:, None]
+        ).reshape(image.shape),
+    ),
     _image("four_channels", "channels from the fifth on stay 0", lambda image, _: image * (np.arange(image.shape[-1]) < 4)),
     _image("sixteen_channels", "channels from the 17th on stay 0", lambda image, _: image * (np.arange(image.shape[-1]) < 16)),
     _image(

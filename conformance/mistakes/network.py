@@ -60,6 +60,7 @@ HISTORY = (
     _history("mask_applied", "colours times the mask", _with_mask(lambda color, mask: (color * mask, mask))),
     _history("mask_inverted", "1 - mask", _with_mask(lambda color, mask: (color, 1 - mask))),
     _history("mask_first", "mask before the colour", _with_mask(lambda color, mask: (mask, color))),
+    _history("of_8_bits", "history in 8 bits", lambda history: np.round(np.clip(history, 0, 1) * 255) / history.dtype.type(255)),
     _history("bgr", "colours in reverse", _with_mask(lambda color, mask: (color[..., ::-1], mask))),
     fault("history", "last_relu", "ReLU after lowlevelGated", returns("history.gated", lambda y: np.maximum(y, 0))),
     fault("history", "gate_missing", "no gate in lowlevelGated", _gate_missing("history", "lowlevelGated")),
@@ -175,6 +176,7 @@ ENCODER = (
     _encoder("down_gate_missing", "no gate in the last layer of down", _gate_missing("encoder", ".conv2")),
     _gate("gate_linear", "no sigmoid", put("conv.sigmoid", lambda x: x)),
     _gate("hard_sigmoid", "min(max(x / 6 + 1/2, 0), 1)", put("conv.sigmoid", lambda x: np.clip(x / 6 + 0.5, 0, 1))),
+    _gate("half_gate", "gates in half precision", returns("conv.sigmoid", half)),
     _gate("half_sigmoid", "exp in half precision", put("conv.sigmoid", lambda x: 1 / (1 + half(np.exp(-x))))),
     _gate("gate_inverted", "1 - sigmoid", change_arguments("conv.sigmoid", x=np.negative)),
     _gate(

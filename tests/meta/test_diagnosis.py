@@ -35,7 +35,14 @@ def explain(port, stage):
     return None
 
 
-NAMED = ["motion_chain_x_sign", "warp_x_sign", "holes_facing_5", "rrm_filled", "occlusion_warp_starts_at_1", "erm_epsilon_inside"]
+NAMED = [
+    "motion_chain_x_sign",
+    "warp_infinity_clamped",
+    "holes_footprint_of_quads",
+    "rrm_filled",
+    "occlusion_warp_starts_at_1",
+    "erm_epsilon_inside",
+]
 
 
 @pytest.mark.parametrize("name", NAMED)

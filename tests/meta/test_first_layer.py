@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from conformance.explain.first_layer import first_departure
-from conformance.judging.findings import DepartureError
+from conformance.judging.findings import DepartureError, Finding
 from conformance.judging.judge import Judge, Tier, agreement
 from conformance.mistakes import find
 from conformance.protocol import FolderPort, PortError
@@ -150,3 +150,11 @@ def test_a_program_that_fails_then_is_told_of():
     case = samples("history")[0]
     with pytest.raises(PortError):
         FolderPort(["false"], 10).layers(case.stage, case.inputs, case.weights)
+
+
+def test_nothing_is_said_to_come_after_the_last_layer():
+    """What all outputs together show may be within the bound of each layer."""
+    judge, case = Judge(ReferencePort()), samples("encoder")[0]
+    right = judge.right(case.stage, case.inputs, case.weights)["x4"]
+    words = first_departure(judge, Finding("", case, "x4", None, right))
+    assert words == "each of the 11 layers is within its own bound, and nothing comes after the last one"
