@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import os
 import platform
+from collections.abc import Iterator
 from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -32,25 +33,42 @@ def _cpuinfo(field: str) -> str:
         return ""
 
 
+MINE, MOUNT = Path("/proc/self/cgroup"), Path("/sys/fs/cgroup")
+"""Where Linux says which control groups a process is in, and where these are, as containers and farms set them."""
+
+
 def available_threads() -> int:
-    """Cores that this process may run on."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    """Cores that this process may run on, or the time of so many that its container may take, rounded up."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return min(cores, container_cores() or cores)
 
 
-def container_memory(mine: Path = Path("/proc/self/cgroup"), mount: Path = Path("/sys/fs/cgroup")) -> int | None:
-    """Bytes that this process may take by its control group and those above, as containers and farms set them; None: no limit."""
-    limits: list[int] = []
-    with suppress(OSError):
+def container_cores(mine: Path = MINE, mount: Path = MOUNT) -> int | None:
+    """Cores whose time this process may take by its control group and those above, rounded up; None: no limit."""
+    shares: list[int] = []
+    for quota, period in _limits("cpu", ("cpu.cfs_quota_us", "cpu.cfs_period_us"), "cpu.max", mine, mount):
+        if quota > 0 and period > 0:  # version 1 has -1 for no limit
+            shares.append(-(-quota // period))
+    return min(shares, default=None)
+
+
+def container_memory(mine: Path = MINE, mount: Path = MOUNT) -> int | None:
+    """Bytes that this process may take by its control group and those above; None: no limit."""
+    return min((limit for (limit,) in _limits("memory", ("memory.limit_in_bytes",), "memory.max", mine, mount)), default=None)
+
+
+def _limits(controller: str, first: tuple[str, ...], second: str, mine: Path, mount: Path) -> Iterator[list[int]]:
+    """The numbers of each group that has them: of version ``first`` in files of one number each, of the ``second`` in one file."""
+    with suppress(OSError, ValueError):
         for line in mine.read_text(encoding="utf-8").splitlines():
             _, controllers, group = line.split(":", 2)  # version 2 has one line, without controllers
-            if controllers and "memory" not in controllers.split(","):
+            if controllers and controller not in controllers.split(","):
                 continue
-            top, name = (mount / "memory", "memory.limit_in_bytes") if controllers else (mount, "memory.max")
+            top, names = (mount / controller, first) if controllers else (mount, (second,))
             own = top / group.lstrip("/")
             for folder in (each for each in (own, *own.parents) if each.is_relative_to(top)):
                 with suppress(OSError, ValueError):  # not there in a container, or "max"
-                    limits.append(int((folder / name).read_text(encoding="utf-8")))
-    return min(limits, default=None)
+                    yield [int(number) for name in names for number in (folder / name).read_text(encoding="utf-8").split()]
 
 
 def versions(names: tuple[str, ...]) -> dict[str, str]:

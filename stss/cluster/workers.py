@@ -14,6 +14,7 @@ from threading import Thread
 from typing import Any
 
 from stss_ground.errors import InputError
+from stss_ground.machine import available_threads
 from stss_ground.optional import require
 
 LOCAL = "local:"
@@ -66,7 +67,7 @@ def _begin(count: int) -> None:
     """Runs first in a process that was started here."""
     Thread(target=_end_with, args=(multiprocessing.parent_process(),), daemon=True).start()
     if count > 1:  # PoCL would use every processor in each process, and pin their threads to the same ones
-        os.environ.update(POCL_MAX_PTHREAD_COUNT=str(max(1, (os.cpu_count() or 1) // count)), POCL_AFFINITY="0")
+        os.environ.update(POCL_MAX_PTHREAD_COUNT=str(max(1, available_threads() // count)), POCL_AFFINITY="0")
 
 
 def _end_with(parent: Any) -> None:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 from collections.abc import Generator, Sequence
@@ -11,6 +10,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from stss.devices import child
+from stss_ground.machine import available_threads
 
 COMMAND = (sys.executable, "-m", "stss.devices.compile_ahead")
 MOST = 3
@@ -19,11 +19,10 @@ MOST = 3
 
 def idle_processors() -> int:
     """Processors that this process may use and that have nothing to do now; at most ``MOST``."""
-    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     busy = 1
     with suppress(OSError, LookupError, ValueError):  # Linux says; the loads before it are means of minutes
         busy = int(Path("/proc/loadavg").read_text().split()[3].split("/")[0])
-    return max(0, min(MOST, usable - busy))
+    return max(0, min(MOST, available_threads() - busy))
 
 
 @contextmanager

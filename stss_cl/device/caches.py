@@ -14,6 +14,7 @@ from functools import lru_cache
 from pathlib import Path
 
 from stss_ground.errors import DeviceError
+from stss_ground.machine import available_threads
 
 LEAST_FREE = 32 << 20
 """Bytes that must be free in the cache: all of our kernels take about 10 MiB, and compilers crash on a full disk."""
@@ -99,7 +100,7 @@ def pocl_cache(version: str) -> Generator[Path]:
     PoCL reads ``$POCL_CACHE_DIR`` when it is first asked for its devices and never again; the environment is restored
     afterwards, since a child process may load another PoCL.
     """
-    _pin_threads()
+    _choose_threads()
     if "POCL_CACHE_DIR" in os.environ:
         yield Path(os.environ["POCL_CACHE_DIR"])
         return
@@ -111,14 +112,19 @@ def pocl_cache(version: str) -> Generator[Path]:
         del os.environ["POCL_CACHE_DIR"]
 
 
-def _pin_threads() -> None:
-    """Let PoCL pin each of its threads to a processor, if this process may use all processors.
+def _choose_threads() -> None:
+    """Let PoCL pin each of its threads to a processor if this process may use all processors; else have no more threads than it may use.
 
-    Without that, two of its threads shared one processor for whole seconds while another was idle, which doubles the time. The threads
-    read the environment when they start, at an unknown moment, so the variable stays.
+    Unpinned, two threads shared one processor for whole seconds while another was idle, which doubles the time. Threads beyond a
+    container's share of time use it up at once, and all wait for the next. They read the environment when they start, at an unknown
+    moment, so the variables stay.
     """
-    if hasattr(os, "sched_getaffinity") and len(os.sched_getaffinity(0)) == os.cpu_count():
+    if not hasattr(os, "sched_getaffinity"):
+        return
+    if (usable := available_threads()) == os.cpu_count():
         os.environ.setdefault("POCL_AFFINITY", "1")
+    else:
+        os.environ.setdefault("POCL_MAX_PTHREAD_COUNT", str(usable))
 
 
 def _secure(folder: Path) -> bool:

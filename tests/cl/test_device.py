@@ -4,6 +4,8 @@ import gc
 import linecache
 import multiprocessing
 import os
+import subprocess
+import sys
 import weakref
 from types import SimpleNamespace
 
@@ -16,7 +18,8 @@ from stss_cl.device import program
 from stss_cl.device.discovery import DeviceError, matching, open_device
 from stss_cl.device.launch import Kernel
 from stss_cl.device.program import program_for
-from stss_ground.machine import container_memory
+from stss_ground import machine as machine_of_this
+from stss_ground.machine import available_threads, container_cores, container_memory
 
 DEMO = "kernel void three(global float *out) { out[get_global_id(0)] = THREE; }\n"
 
@@ -70,6 +73,44 @@ def test_a_container_limits_a_processors_memory(tmp_path, monkeypatch, groups, l
         handle.global_mem_size = 8
         limit = 8 if kind == cl.device_type.GPU else least
         assert devices.Properties(handle).memory == min(8, 8 if limit is None else limit)
+
+
+@pytest.mark.parametrize(
+    ("groups", "limits", "least"),
+    [
+        ("0::/", {"cpu.max": "max 100000"}, None),
+        ("0::/", {"cpu.max": "150000 100000"}, 2),
+        ("0::/a/b", {"a/cpu.max": "50000 100000", "a/b/cpu.max": "max 100000"}, 1),
+        ("4:cpu,cpuacct:/x", {"cpu/x/cpu.cfs_quota_us": "300000", "cpu/x/cpu.cfs_period_us": "100000", "cpu.max": "1 1"}, 3),
+        ("4:cpu,cpuacct:/", {"cpu/cpu.cfs_quota_us": "-1", "cpu/cpu.cfs_period_us": "100000"}, None),
+        ("", {}, None),
+    ],
+)
+def test_a_container_limits_the_threads(tmp_path, monkeypatch, groups, limits, least):
+    """More would use up its time at once, and all wait for the next."""
+    (tmp_path / "mine").write_text(groups)
+    for name, text in limits.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text + "\n")
+    assert container_cores(tmp_path / "mine", tmp_path) == least
+    for cores in (1, 64):
+        monkeypatch.setattr(machine_of_this, "container_cores", lambda: least)
+        monkeypatch.setattr(os, "sched_getaffinity", lambda _, cores=cores: range(cores), raising=False)
+        assert available_threads() == min(cores, least or cores)
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity") or (os.cpu_count() or 1) < 2, reason="needs two processors, and Linux")
+def test_a_process_on_some_processors_has_no_more_threads(processor):
+    """PoCL counts the machine's."""
+    if not processor.is_pocl_processor:
+        pytest.skip("the device is not PoCL's processor")
+    text = (
+        "import os; os.sched_setaffinity(0, list(os.sched_getaffinity(0))[:1])\n"
+        f"from stss_cl.device.discovery import open_device; print(open_device({processor.name!r}).compute_units)"
+    )
+    environment = {name: value for name, value in os.environ.items() if name not in ("POCL_AFFINITY", "POCL_MAX_PTHREAD_COUNT")}
+    answer = subprocess.run([sys.executable, "-c", text], env=environment, capture_output=True, text=True, check=True)
+    assert answer.stdout.split() == ["1"]
 
 
 def run_three(device):

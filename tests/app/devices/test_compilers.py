@@ -12,6 +12,7 @@ import pyopencl as cl
 import pytest
 
 from stss.devices import child, verdicts
+from stss.devices import compilers as of_compilers
 from stss.devices.compilers import COMMAND, MOST, compilers, idle_processors
 from stss.devices.verdicts import Verdict, verdict
 from stss.weights.file import REALTIME
@@ -57,11 +58,11 @@ def test_they_end_with_the_self_test(tmp_path):
 
 
 def test_busy_processors_compile_nothing(monkeypatch):
-    monkeypatch.setattr(os, "sched_getaffinity", lambda _: range(8), raising=False)
+    monkeypatch.setattr(of_compilers, "available_threads", lambda: 8)
     for running, idle in ((1, 3), (6, 2), (8, 0), (99, 0)):
         monkeypatch.setattr(Path, "read_text", lambda self, running=running: f"0.50 1.00 2.00 {running}/300 1234\n")
         assert idle_processors() == idle
-    monkeypatch.setattr(os, "sched_getaffinity", lambda _: range(64), raising=False)
+    monkeypatch.setattr(of_compilers, "available_threads", lambda: 64)
     assert idle_processors() == 0
     monkeypatch.setattr(Path, "read_text", lambda self: "nothing that is known")
     assert idle_processors() == MOST
