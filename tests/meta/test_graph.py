@@ -557,13 +557,13 @@ def test_a_program_that_changes_its_inputs_or_fails_is_said(tmp_path):
     """`Program` makes the same checks as for ports of STSS."""
     onnx.save(model_of([helper.make_node("Relu", ["x"], ["y"])], {"x": [3]}, {"y": 1}), tmp_path / "m.onnx")
     model = load_model(tmp_path / "m.onnx")
-    for lines, words in (
-        ("import shutil; shutil.rmtree(case / 'in')", "a program leaves its inputs as they are"),
-        ("print('no device', file=sys.stderr); sys.exit(3)", "no device"),
-        ("import time; time.sleep(60)", "stopped after 2 s"),
+    for lines, limit, words in (
+        ("import shutil; shutil.rmtree(case / 'in')", 60, "a program leaves its inputs as they are"),
+        ("print('no device', file=sys.stderr); sys.exit(3)", 60, "no device"),
+        ("import time; time.sleep(60)", 0.5, "stopped after 0.5 s"),
     ):
         (tmp_path / "port.py").write_text(f"import sys, pathlib\ncase = pathlib.Path(sys.argv[1]) / '0000'\n{lines}\n")
-        port = load_graph_port(model, None, f"{sys.executable} {tmp_path / 'port.py'}", 2)
+        port = load_graph_port(model, None, f"{sys.executable} {tmp_path / 'port.py'}", limit)
         assert words in " ".join(judge_port(model, port, F32).wrong)
 
 
