@@ -2,7 +2,8 @@
 """``make mutants``: the tests of the quick tier that find each planted fault; the table of docs/conformance.md, by generator.
 
 ``python -m tests.meta.run_mutants warp rrm`` tries those of two stages; with ``--found FILE`` it goes on where the last run with this
-file stopped, and writes the table when all stages are in it.
+file stopped, and writes the table when all stages are in it. ``--first`` leaves each fault at the first test that finds it, and takes
+minutes.
 """
 
 import argparse
@@ -105,20 +106,25 @@ def main():
     parser.add_argument("stages", nargs="*", help="stages whose mistakes are tried; none: all")
     parser.add_argument("--seed", type=int, default=0, help="other cases than a user's default ones")
     parser.add_argument("--found", type=Path, help="JSON file of what was found so far")
+    parser.add_argument("--first", action="store_true", help="only whether each is found: no table")
     options = parser.parse_args()
+    if options.first and options.found is not None:
+        parser.error("--first: not with --found, which the table needs whole")
     tests_of = json.loads(options.found.read_text()) if options.found is not None and options.found.exists() else {}
     mutants = [mutant.id for mutant in MISTAKES if not options.stages or mutant.stage in options.stages]
     names = [name for name in mutants if name not in tests_of]
     start = perf_counter()
     with ProcessPoolExecutor() as pool:
-        for name, (by, seconds) in zip(names, pool.map(killers, names, repeat(options.seed), chunksize=2), strict=True):
+        for name, (by, seconds) in zip(
+            names, pool.map(killers, names, repeat(options.seed), repeat(not options.first)), strict=True
+        ):
             tests_of[name] = by
             print(f"{name:42s} {seconds:5.1f} s  {', '.join(by) or 'SURVIVES'}", flush=True)
             if options.found is not None:
                 options.found.write_text(json.dumps(tests_of, indent=0))
     survivors = [name for name in mutants if not tests_of[name]]
     print(f"{len(mutants) - len(survivors)} of {len(mutants)} found out, {perf_counter() - start:.0f} s")
-    if not options.seed and not survivors and len(tests_of) == len(MISTAKES):
+    if not options.seed and not options.first and not survivors and len(tests_of) == len(MISTAKES):
         write_between(PAGE, MARK, table(tests_of, seconds_by_generator()))
     sys.exit(1 if survivors or not mutants else 0)
 
