@@ -50,6 +50,13 @@ def machine(monkeypatch):
     return handles
 
 
+def write_groups(folder, groups, limits):
+    """What Linux says of a process's control groups, and the files of these with a line each."""
+    for name, text in {"mine": groups, **limits}.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(text + "\n")
+
+
 @pytest.mark.parametrize(
     ("groups", "limits", "least"),
     [
@@ -63,10 +70,7 @@ def machine(monkeypatch):
 )
 def test_a_container_limits_a_processors_memory(tmp_path, monkeypatch, groups, limits, least):
     """As the kernel's files of both versions say it: OpenCL reports the machine's, and more would end the process."""
-    (tmp_path / "mine").write_text(groups)
-    for name, text in limits.items():
-        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / name).write_text(text + "\n")
+    write_groups(tmp_path, groups, limits)
     monkeypatch.setattr(devices, "container_memory", lambda: container_memory(tmp_path / "mine", tmp_path))
     for kind in (cl.device_type.CPU, cl.device_type.GPU):
         handle = fake("Some", "device", kind)
@@ -88,10 +92,7 @@ def test_a_container_limits_a_processors_memory(tmp_path, monkeypatch, groups, l
 )
 def test_a_container_limits_the_threads(tmp_path, monkeypatch, groups, limits, least):
     """More would use up its time at once, and all wait for the next."""
-    (tmp_path / "mine").write_text(groups)
-    for name, text in limits.items():
-        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / name).write_text(text + "\n")
+    write_groups(tmp_path, groups, limits)
     assert container_cores(tmp_path / "mine", tmp_path) == least
     for cores in (1, 64):
         monkeypatch.setattr(machine_of_this, "container_cores", lambda: least)
