@@ -11,7 +11,7 @@ from functools import cache
 import numpy as np
 import pyopencl as cl
 
-from stss_cl.device.buffers import FLAGS, constant, to_bfloat16
+from stss_cl.device.buffers import FLAGS, constant, from_bfloat16, to_bfloat16
 from stss_cl.device.discovery import Device, Properties
 from stss_cl.device.launch import Kernel
 from stss_cl.device.program import program_for
@@ -58,22 +58,34 @@ def product_is_right(device: Device, *, emulate: bool) -> bool:
     random = np.random.default_rng(0)
     a, b = (to_bfloat16(random.normal(size=size)) for size in ((16, 32), (16, 16, 2)))
     bias = random.normal(size=16).astype(np.float32)
+    return bool((product(device, bias, a, b, emulate=emulate) == multiply(np.broadcast_to(bias, (16, 16)), a, b)).all())
+
+
+def product(device: Device, bias: np.ndarray, a: np.ndarray, b: np.ndarray, *, emulate: bool) -> np.ndarray:
+    """``bias`` (16) + ``a`` (16, 32) ``b`` (16, 16, 2), as the device computes it."""
     got = np.empty((16, 16), np.float32)
     output = cl.Buffer(device.context, FLAGS.WRITE_ONLY, got.nbytes)
     program = program_for(device, "matrix_amx.cl", {"EMULATE": emulate})
     inputs = {name: constant(device, array) for name, array in {"a": a, "b": b, "bias": bias}.items()}
     Kernel(program, "matrix_amx", {**inputs, "sums": output}).enqueue(device.queue, (1,), (1,))
     cl.enqueue_copy(device.queue, got, output)
-    return bool((got == multiply(np.broadcast_to(bias, (16, 16)), a, b)).all())
+    return got
 
 
 def multiply(sums: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """``sums`` (P, 16) + ``a`` (P, 32) ``b`` (16, 16, 2), with the units' roundings: even and odd places have separate sums.
+    """``sums`` (P, 16) + ``a`` (P, 32) ``b`` (16, 16, 2), with the units' roundings.
 
-    Source: Intel's Software Developer's Manual, TDPBF16PS.
+    Even and odd places have separate sums; each product is added with one rounding, and subnormal numbers are 0. Source: Intel's Software
+    Developer's Manual, TDPBF16PS.
     """
-    wide = [(x.astype(np.uint32) << 16).view(np.float32) for x in (a, b)]
+    wide = [from_bfloat16(x).astype(np.float64) for x in (a, b)]
     partial = np.zeros((*sums.shape, 2), np.float32)
-    for k in range(16):
-        partial += wide[0][:, None, 2 * k : 2 * k + 2] * wide[1][k]
-    return sums + (partial[..., 0] + partial[..., 1])
+    for k in range(16):  # products are exact in float64; sums of 16 and 24 bits, rounded twice, are as if rounded once
+        partial = flush(partial + wide[0][:, None, 2 * k : 2 * k + 2] * wide[1][k])
+    return flush(flush(sums) + flush(partial[..., 0] + partial[..., 1]))
+
+
+def flush(numbers: np.ndarray) -> np.ndarray:
+    """In float32, with 0 in place of subnormal numbers."""
+    rounded = numbers.astype(np.float32)
+    return np.where(np.abs(rounded) < np.finfo(np.float32).tiny, np.copysign(np.float32(0), rounded), rounded)

@@ -101,6 +101,19 @@ def test_the_emulated_product_is_right(device):
     assert amx.product_is_right(device, emulate=True)
 
 
+@pytest.mark.parametrize(("scale", "others"), [(-62, -64), (-110, -12), (60, 64)])
+def test_products_beyond_floats_range_are_added_exactly(processor, units, scale, others):
+    """Many are subnormal, or larger than any float, and their sums are not; subnormal sums and biases are 0."""
+    random, emulate = np.random.default_rng(1), not amx.are_used(processor)
+    for _ in range(8):
+        powers = [random.integers(power - 3, power + 3, size) for power, size in ((scale, (16, 32)), (others, (16, 16, 2)))]
+        a, b = (to_bfloat16(random.normal(size=power.shape) * 2.0**power) for power in powers)
+        bias = (random.normal(size=16) * 2.0 ** (scale + others)).astype(np.float32)
+        with np.errstate(over="ignore", invalid="ignore"):
+            want = amx.multiply(np.broadcast_to(bias, (16, 16)), a, b)
+        np.testing.assert_array_equal(amx.product(processor, bias, a, b, emulate=emulate), want)
+
+
 def test_a_wrong_product_is_seen(device, monkeypatch):
     right = amx.multiply
     monkeypatch.setattr(amx, "multiply", lambda sums, a, b: right(sums, a, b[:, ::-1]))

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from stss_cl.device import amx
 from stss_cl.device.grid import ceil8
 from stss_cl.frame import Frame
 from stss_cl.network.layer_builder import dtype_of
@@ -100,8 +101,10 @@ def test_the_limit_counts_what_is_allocated(device, monkeypatch, precision, size
 
 
 @ALL_LAYERS
-@pytest.mark.parametrize("precision", [precision for precision in OFTEN if precision != "bfloat16"])
+@pytest.mark.parametrize("precision", OFTEN)
 def test_strips_have_the_bits_of_the_whole(device, precision):
+    if precision == "bfloat16" and (why_slow := amx.missing(device)):
+        pytest.skip(why_slow)
     weights, height = random_weights(2), 1221
     inputs = network_inputs((height, WIDTH))
     whole = Network(weights, device, precision)(*inputs)
