@@ -1,6 +1,7 @@
 """The nodes for ComfyUI, called as it calls them: by class, with keywords, tensors in and tensors out."""
 
 import importlib.util
+import json
 import os
 import shutil
 import sys
@@ -12,7 +13,10 @@ import pytest
 
 import stss
 from stss.images.color import transfer
+from stss.images.windows import PixelWindow
 from stss_ground.errors import InputError
+from tests.app.conftest import frame_channels
+from tests.app.images.test_windows import write as write_windows
 
 PACK = Path(__file__).parents[3] / "examples" / "comfyui" / "__init__.py"
 
@@ -124,7 +128,7 @@ def test_progress_and_files_that_changed(nodes, demo, monkeypatch):
     options = {"folder": str(demo / "frames"), "profile": "auto", "background": "files", "first": 0, "count": 2}
     images, gbuffer = call(nodes, "StssLoadFrames", **options)
     call(nodes, "StssSupersample", images=images, gbuffer=gbuffer, weights="bilinear", backend="ref")
-    assert steps == [1, 1]
+    assert steps == [1, 1, 1, 1]  # a user can stop both nodes after each frame
     changed = nodes.NODE_CLASS_MAPPINGS["StssLoadFrames"].IS_CHANGED
     assert changed(**options) == changed(**options) != ""
 
@@ -142,4 +146,106 @@ def test_a_frame_of_several_files_changed(nodes, demo, tmp_path):
     assert before == changed(**options)
     path = max(tmp_path.iterdir())
     os.utime(path, ns=(1, 1))
-    assert changed(**options) != before
+    after = changed(**options)
+    assert after != before
+    path.write_bytes(path.read_bytes() + b" ")
+    os.utime(path, ns=(1, 1))
+    assert changed(**options) != after  # as by a copy that keeps the time
+
+
+DEFAULTS = {"profile": "auto", "background": "files", "first": 0}
+
+
+def test_a_folder_that_is_not_named_is_not_the_servers_own(nodes, demo, monkeypatch):
+    """ComfyUI's working directory is of no user's choice; a home directory is."""
+    monkeypatch.chdir(demo / "frames")
+    with pytest.raises(InputError, match="folder: empty; expected a folder of EXR files"):
+        call(nodes, "StssLoadFrames", folder=' ""\n', count=4, **DEFAULTS)
+    monkeypatch.setenv("HOME", str(demo))
+    assert len(call(nodes, "StssLoadFrames", folder="~/frames", count=4, **DEFAULTS)[1].frames) == 4
+
+
+@pytest.mark.parametrize(
+    ("rendered", "first", "taken"),
+    [
+        ({0, 2, 3}, 0, (True, False, True, True, False)),
+        (None, 1, (True, False, True)),
+        (None, 0, (True, False, True, False, True)),
+    ],
+)
+def test_the_rendered_frames_are_those_of_a_run(nodes, write_frames, rendered, first, taken):
+    """Every frame with a colour; where all have one, every second of the shot, wherever the node begins."""
+    folder = write_frames(range(5), rendered=rendered)
+    images, gbuffer = call(nodes, "StssLoadFrames", folder=str(folder), count=9, **DEFAULTS | {"first": first})
+    assert gbuffer.rendered == taken
+    assert len(images.numpy()) == sum(taken)
+
+
+def test_a_frame_that_nothing_can_be_made_of_is_named(nodes, write_frames):
+    """Left out without a word, as it was, all frames behind it would be shown too early."""
+    folder = write_frames(range(8), rendered={0, 2, 6})
+    message = "in: frame 4: no rendered frame just before it to extrapolate from; a count of 4 ends before it"
+    with pytest.raises(InputError, match=message):
+        call(nodes, "StssLoadFrames", folder=str(folder), count=8, **DEFAULTS)
+    assert len(call(nodes, "StssLoadFrames", folder=str(folder), count=4, **DEFAULTS)[1].frames) == 4
+
+
+def test_the_frames_choose_the_weights(nodes, write_frames, monkeypatch):
+    """As in a run. Frames of a path tracer lose 2 dB by those for games."""
+
+    def mean_normals(number, channels):
+        return channels | {"normal.Z": 0.9 * channels["normal.Z"]}
+
+    taken, supersampler = [], stss.Supersampler
+    monkeypatch.setattr(
+        stss, "Supersampler", lambda weights, **options: taken.append(weights) or supersampler("bilinear", **options)
+    )
+    for folder, change in (("games", None), ("films", mean_normals)):
+        path = write_frames(range(2), rendered={0}, folder=folder, change=change)
+        images, gbuffer = call(nodes, "StssLoadFrames", folder=str(path), count=2, **DEFAULTS)
+        for weights in ("auto", "bilinear"):
+            call(nodes, "StssSupersample", images=images, gbuffer=gbuffer, weights=weights, backend="ref")
+    assert taken == ["realtime", "bilinear", "antialiased", "bilinear"]
+
+
+def test_images_are_of_the_picture_without_overscan(nodes, tmp_path):
+    """Other nodes know one size: that which a run's PNG have."""
+    data, display = PixelWindow(-2, -1, 24, 16), PixelWindow(0, 0, 20, 14)
+    for number in range(2):
+        channels = frame_channels(number, (16, 24), color=number == 0)
+        write_windows(tmp_path / "wide" / f"a.{number:04d}.exr", [(channels, data)], display)
+    images, gbuffer = call(nodes, "StssLoadFrames", folder=str(tmp_path / "wide"), count=2, **DEFAULTS)
+    assert tuple(images.shape) == (1, 14, 20, 3)
+    channels = frame_channels(0, (16, 24))
+    color = np.stack([channels[name] for name in "RGB"], axis=-1).astype(np.float32)
+    np.testing.assert_array_equal(images.numpy()[0], transfer("srgb").encode(color)[1:15, 2:22])
+    frames, _ = call(nodes, "StssSupersample", images=images, gbuffer=gbuffer, weights="bilinear", backend="ref")
+    assert tuple(frames.shape) == (2, 28, 40, 3)
+
+
+def test_the_workflow_fits_the_nodes(nodes):
+    """ComfyUI keeps the values of a workflow by their order, and checks its keys: ``flags`` and ``properties`` must be there."""
+    (path,) = (PACK.parent / "example_workflows").iterdir()
+    workflow = json.loads(path.read_text())
+    by_id = {node["id"]: node for node in workflow["nodes"]}
+    ours = [node for node in workflow["nodes"] if node["type"] in nodes.NODE_CLASS_MAPPINGS]
+    assert len(ours) == 2
+    for node in ours:
+        kind = nodes.NODE_CLASS_MAPPINGS[node["type"]]
+        inputs = kind.INPUT_TYPES()["required"]
+        widgets = {name: value for name, value in inputs.items() if not str(value[0]).isupper() or value[0] in {"STRING", "INT"}}
+        linked = {name: value[0] for name, value in inputs.items() if name not in widgets}
+        assert {slot["name"]: slot["type"] for slot in node.get("inputs", ())} == linked
+        assert [(slot["name"], slot["type"]) for slot in node["outputs"]] == list(
+            zip(kind.RETURN_NAMES, kind.RETURN_TYPES, strict=True)
+        )
+        assert len(kind.OUTPUT_TOOLTIPS) == len(kind.RETURN_TYPES)
+        for value, (choices, *more) in zip(node["widgets_values"], widgets.values(), strict=True):
+            default = choices[0] if isinstance(choices, list) else more[0]["default"]
+            assert value == default
+    for node in workflow["nodes"]:
+        assert {"flags", "properties"} <= node.keys()
+    for link, source, output, target, slot, kind in workflow["links"]:
+        assert by_id[source]["outputs"][output]["links"] == [link]
+        assert by_id[target]["inputs"][slot]["link"] == link
+        assert by_id[source]["outputs"][output]["type"] == by_id[target]["inputs"][slot]["type"] == kind
