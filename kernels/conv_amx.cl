@@ -43,20 +43,25 @@
 #error "conv_amx.cl needs -D STORED=BFLOAT16"
 #endif
 
+// Prefetches memory line by line, to be read or, if `writes` is 1, written.
+#ifdef EMULATE
+#define PREFETCH(from, bytes, writes)
+#else
+#define PREFETCH(from, bytes, writes)                            \
+    _Pragma("unroll") for (int i = 0; i < (int)(bytes); i += 64) \
+        __builtin_prefetch((const void *)((size_t)(from) + i), writes, 2)
+#endif
+
 // Prefetches one of 12 parts of a tile's input: half a row of pixels, or at stride 2 one of its nine rows.
 static inline void prefetch_rows(global const stored *from, const int channels, const int line, const int part)
 {
-#ifndef EMULATE
     from += STRIDE == 1 ? part / 2 * line + part % 2 * (ACROSS / 2) * channels : least(part, 8) * line;
-#pragma unroll
-    for (int i = 0; i < (STRIDE == 1 ? ACROSS / 2 : 2 * ACROSS) * channels; i += 32)
-        __builtin_prefetch((const void *)(size_t)(from + i), 0, 2);
-#endif
+    PREFETCH(from, (STRIDE == 1 ? ACROSS / 2 : 2 * ACROSS) * channels * sizeof(stored), 0);
 }
 
 // Adds the products of one input of 2 x 16 pixels with one or two parts of the outputs to tiles 0 .. 3. Meanwhile it
-// prefetches parts of the next tile's input, and finishes some pixels of the previous row. A macro, since tiles have
-// numbers, not addresses.
+// prefetches parts of the next tile's input, and FINISH works on other rows. A macro, since tiles have numbers, not
+// addresses.
 #define ADD_PRODUCTS(from, channels, line, weights, two, next, slot)                                         \
     for (int tap = 0; tap < 3; ++tap) {                                                                      \
         if (n == 0) prefetch_rows(next, channels, line, 3 * row + tap);                                      \
@@ -115,7 +120,25 @@ static inline void finish_image(const float *residuals, const int y, const int x
     copy_floats(lines[0], 6 * pixels, to);
     copy_floats(lines[1], 6 * pixels, to + 6 * width);
 }
-#define FINISH(slot)
+
+// Prefetches one of 12 parts of the next tile's colours: half of one of six rows.
+static inline void prefetch_colors(global const float4 *from, const int columns, const int part)
+{
+    PREFETCH(from + (part / 2 - 1) * columns + part % 2 * (ACROSS / 2), (ACROSS / 2 + 1) * sizeof(float4), 0);
+}
+
+// Prefetches a third of both rows of the image, `line` floats apart, that begin at `to`.
+static inline void prefetch_image(global const float *to, const int line, const int third)
+{
+    to += third * 2 * ACROSS;
+    PREFETCH(to, 2 * ACROSS * sizeof(float), 1);
+    PREFETCH(to + line, 2 * ACROSS * sizeof(float), 1);
+}
+
+#define FINISH(slot)                                                                                          \
+    prefetch_colors(color + 4 * TILE_ROW(ahead) * shown.columns + ACROSS * TILE_COLUMN(ahead), shown.columns, \
+                    3 * row + (slot));                                                                        \
+    prefetch_image(image + (2 * (shown.top + y) * (2 * layer.width) + 2 * x) * 3, 6 * layer.width, slot)
 #else
 #define SLOTS ((SIXTEENS + 1) / 2 * (B ? 6 : 3))  // one for each row of taps of all products for a row of outputs
 #define IN_SLOT ((ACROSS + SLOTS - 1) / SLOTS)  // pixels to finish in each slot
@@ -126,19 +149,14 @@ typedef struct {
     int y, x, pixels;
 } Row;
 
-// Gate, ReLU and rounding: stores the slot's pixels of a row; slot 0 fills `open`.
-static inline void finish(const Row row, const int slot, float *open, global stored *out, const int out_columns,
-                          const int out_channels, global uchar *changes)
+// Stores the pixels `first` .. `end` - 1 of a row.
+static inline __attribute__((always_inline)) void store_pixels(const Row row, const int first, const int end,
+                                                               const float *open, global stored *out,
+                                                               const int out_columns, const int out_channels,
+                                                               global uchar *changes)
 {
-#ifdef GATED
-    if (slot == 0 && row.pixels) {
-#pragma unroll
-        for (int p = 0; p < ACROSS; ++p) open[p] = row.sums[(OUT / 16 * ACROSS + p) * 16 + OUT % 16];
-        for (int i = 0; i < ACROSS / 8; ++i) ((float8 *)open)[i] = sigmoid8(((const float8 *)open)[i]);
-    }
-#endif
-    for (int p = slot * IN_SLOT; p < least((slot + 1) * IN_SLOT, row.pixels); ++p) {
-        const int to = ((row.y + 1) * out_columns + row.x + p + 1) * (out_channels / 8);
+    global stored *to = out + ((row.y + 1) * out_columns + row.x + 1) * out_channels;
+    for (int p = first; p < end; ++p) {
         BEGIN_PIXEL;
 #pragma unroll
         for (int c = 0; c < OUT / 8; c += 2) {
@@ -148,14 +166,40 @@ static inline void finish(const Row row, const int slot, float *open, global sto
 #endif
             const ushort16 bits = rounded(value);
             if (c + 1 < OUT / 8)
-                PUT_STORED16(bits, to + c, out);
+                PUT_STORED16(bits, c, to + p * out_channels);
             else
-                PUT_STORED8(bits.lo, to + c, out);
+                PUT_STORED8(bits.lo, c, to + p * out_channels);
         }
         END_PIXEL(row.y * (out_columns - 2) + row.x + p);
     }
 }
-#define FINISH(slot) finish(wait, slot, open, out + layer.out_first, layer.out_columns, layer.out_channels, changes)
+
+// Stores the slot's pixels of a row with gate, ReLU and rounding; slot 0 fills `open`.
+static inline void finish(const Row row, const int slot, float *open, global stored *out, const int out_columns,
+                          const int out_channels, global uchar *changes)
+{
+#ifdef GATED
+    if (slot == 0 && row.pixels) {
+        const float *sums = row.sums + OUT / 16 * ACROSS * 16 + OUT % 16;
+#pragma unroll
+        for (int p = 0; p < ACROSS; p += 8, sums += 128)
+            *(float8 *)(open + p) =
+                sigmoid8((float8)(sums[0], sums[16], sums[32], sums[48], sums[64], sums[80], sums[96], sums[112]));
+    }
+#endif
+    const int first = slot * IN_SLOT, end = least(first + IN_SLOT, row.pixels);
+    // Two loops, since a test at each store takes a tenth of the kernel's time.
+    if (MARKS(changes))
+        store_pixels(row, first, end, open, out, out_columns, out_channels, changes);
+    else
+        store_pixels(row, first, end, open, out, out_columns, out_channels, 0);
+}
+
+// First prefetches the memory of the slot's pixels of this row, since a store waits for its line.
+#define FINISH(slot)                                                                                                \
+    PREFETCH(out + layer.out_first + ((y + 1) * layer.out_columns + x + 1 + (slot) * IN_SLOT) * layer.out_channels, \
+             IN_SLOT * OUT * sizeof(stored), 1);                                                                    \
+    finish(wait, slot, open, out + layer.out_first, layer.out_columns, layer.out_channels, changes)
 #endif
 
 kernel __attribute__((reqd_work_group_size(1, 1, 1))) void conv_amx(
@@ -234,7 +278,8 @@ kernel __attribute__((reqd_work_group_size(1, 1, 1))) void conv_amx(
         }
     }
 #ifndef IMAGE
-    for (int slot = 0; slot < SLOTS; ++slot) FINISH(slot);
+    for (int slot = 0; slot < SLOTS; ++slot)
+        finish(wait, slot, open, out + layer.out_first, layer.out_columns, layer.out_channels, changes);
 #endif
     TILES_END;
 }
