@@ -5,6 +5,7 @@ from functools import partial
 import numpy as np
 import pytest
 
+from conformance.answers.port_arithmetic import Arithmetic
 from conformance.cases.exact_weights import exact_inputs, rounded_sums
 from conformance.cases.stage_inputs import multiples
 from conformance.judging.findings import DepartureError
@@ -12,6 +13,7 @@ from conformance.judging.judge import Judge, Tier
 from conformance.judging.search import DrawnCases
 from conformance.protocol.reference_copy import load, put
 from conformance.suite.properties import find_property
+from stss_ref.conv import conv
 from tests.meta import right_ports as others
 
 pytestmark = pytest.mark.filterwarnings("ignore::hypothesis.errors.HypothesisWarning")
@@ -60,6 +62,16 @@ def test_one_rounding_is_one_too_many_where_none_is_needed(stage):
         judged(port(off_by_a_bit), stage, "what_needs_no_rounding_is_exact", exact_inputs(stage, multiples()))
     with pytest.raises(DepartureError):
         judged(port(add_in_half), stage, "sums_round_either_way", rounded_sums(stage))
+
+
+@pytest.mark.parametrize("stage", ["history", "encoder", "decoder"])
+def test_a_port_in_bfloat16_rounds_what_half_holds(stage):
+    stored = Arithmetic("bfloat16").rounded
+    port = load(
+        "planted", put("conv.conv", lambda *arrays, **more: stored(conv(*arrays, **more))), entry=stored, dtype="bfloat16"
+    )
+    judged(port, stage, "what_needs_no_rounding_is_exact", exact_inputs(stage, multiples()))
+    assert max(judged(port, stage, "sums_round_either_way", rounded_sums(stage)).values()) < 1
 
 
 @pytest.mark.parametrize("name", ["pairwise", "winograd_4_near"])
