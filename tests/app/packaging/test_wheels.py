@@ -15,6 +15,11 @@ import pytest
 from stss.images.read_write import read_rgb
 from stss_ground.version import DISTRIBUTION, VERSION
 
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
 ROOT = Path(__file__).parents[3]
 DATA = (
     *(f"stss_cl/kernels/{path.name}" for path in (ROOT / "kernels").iterdir()),
@@ -115,6 +120,15 @@ def test_a_container_is_given_all_that_the_wheel_is_built_from(program, tmp_path
     subprocess.run(command, cwd=tmp_path, check=True, capture_output=True)
     names = zipfile.ZipFile(next((tmp_path / "dist").glob("*.whl"))).namelist()
     assert sorted(names) == sorted(zipfile.ZipFile(program[0]).namelist())
+
+
+def test_uv_sees_that_a_file_of_the_wheel_changed(program):
+    """After a ``git pull``, ``uvx --from .`` ran what it had built before."""
+    keys = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["uv"]["cache-keys"]
+    seen = {path.relative_to(ROOT).as_posix() for key in keys for path in ROOT.glob(key["file"])}
+    names = [name for name in zipfile.ZipFile(program[0]).namelist() if ".dist-info/" not in name]
+    sources = {name.replace("stss_cl/kernels/", "kernels/").removeprefix("stss_judge/") for name in names}
+    assert not {*sources, "pyproject.toml", "hatch_build.py", "README.md"} - seen
 
 
 def test_another_package_of_the_judges_name_is_one_line(program, tmp_path):
