@@ -193,17 +193,21 @@ def run_selftest(name: str, command: Sequence[str] = COMMAND, limit: float | Non
 
 
 class _Watch:
-    """Watches whether a session of processes has used up its time."""
+    """Watches whether a session of processes has used up its time.
+
+    Its clock stands still where this process stands still, too: a suspended job or virtual machine, a container that is paused.
+    """
 
     def __init__(self, session: int, limit: float):
         self._session, self._limit, self._idle = session, limit, min(IDLE, limit)
-        self._start = self._active = time.monotonic()
-        self._seconds = 0.0
+        self._last = time.monotonic()
+        self._now = self._active = self._seconds = 0.0
 
     def over(self) -> str:
         """The reason to end it; "" if it may go on."""
-        now = time.monotonic()
-        if now - self._start > CLOCK * self._limit:
+        last, self._last = self._last, time.monotonic()
+        self._now += min(self._last - last, 4 * POLL)
+        if self._now > CLOCK * self._limit:
             return f"no answer within {CLOCK * self._limit:g} s"
         seconds = _processor_seconds(self._session)
         if seconds is None:
@@ -211,8 +215,8 @@ class _Watch:
         if seconds > self._limit:
             return f"no answer within {self._limit:g} s of processor time"
         if abs(seconds - self._seconds) > self._idle / 100:  # less: one of them ended
-            self._seconds, self._active = seconds, now
-        return f"no answer, and idle for {self._idle:g} s" if now - self._active > self._idle else ""
+            self._seconds, self._active = seconds, self._now
+        return f"no answer, and idle for {self._idle:g} s" if self._now - self._active > self._idle else ""
 
 
 def _processor_seconds(session: int) -> float | None:

@@ -300,6 +300,21 @@ def test_a_slow_clock_is_no_hang(monkeypatch):
     assert got.seconds > 2.7
 
 
+def test_a_pause_of_all_processes_is_no_hang(monkeypatch):
+    """A suspended job, a paused container: the clock has gone on for an hour, and neither test nor watch has run."""
+    clock = SimpleNamespace(now=0.0)
+    monkeypatch.setattr(verdicts, "time", SimpleNamespace(monotonic=lambda: clock.now))
+    monkeypatch.setattr(verdicts, "_processor_seconds", lambda session: 7.0)
+    watch, polls = verdicts._Watch(1, verdicts.TIME_LIMIT), int(verdicts.IDLE / verdicts.POLL)
+    assert not watch.over()
+    clock.now += 3600
+    assert not watch.over()
+    for _ in range(polls):
+        clock.now += verdicts.POLL
+        reason = watch.over()
+    assert reason == "no answer, and idle for 60 s"
+
+
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks for processes in /proc")
 def test_what_a_self_test_leaves_behind_ends_with_it(tmp_path):
     """It holds the output open, so the test would wait for it."""
