@@ -10,7 +10,7 @@ import pyopencl as cl
 
 from stss_cl.device.buffers import Outgoing, Plain, incoming
 from stss_cl.device.discovery import Device
-from stss_cl.device.grid import grid
+from stss_cl.device.grid import ceil_div, grid
 from stss_cl.device.launch import Kernel
 from stss_cl.image_space.stages import program
 from stss_ref.arrays import Array, Image, require_finite
@@ -71,7 +71,7 @@ class OutputKernels:
         low, high = white
         self._decode.set(image=data, above=data if above is None else above.data, color=color.data, bad=bad.data)
         self._decode.set(srgb=srgb, highlights=above is not None, low=low, span=high - low, height=height, width=width)
-        self._decode.enqueue(device.queue, *grid(device, width, height))
+        self._decode.enqueue(device.queue, *grid(device, width, ceil_div(height, 2)))
         for each in (bad, color, *carried.values()):
             each.send()
         if bad.finish()[0]:
