@@ -273,6 +273,7 @@ def test_nothing_is_written_where_something_still_leaves(gpu, all_rendered):
         assert_same(got.finish(), expected)
 
 
+@pytest.mark.filterwarnings("ignore::pyopencl.CompilerWarning")  # Intel's compiler says that it vectorised PyOpenCL's kernel
 @pytest.mark.parametrize("looking", [True, False])
 def test_what_an_engine_enqueues_is_waited_for(gpu, looking):
     """It writes its planes in the queue of the launches, and gives no events."""
