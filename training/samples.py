@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import os
 import shutil
 import tempfile
@@ -43,6 +44,7 @@ from stss_ref.constants import HOLE_FILLS, HoleFill
 from stss_ref.frame import FrameInputs, NetworkInputs
 from stss_ref.frame import prepare as warp_all
 from stss_ref.holes import holes
+from stss_ref.resample import upsample_centres
 from stss_ref.schedule import FrameKind
 from training.command import command
 from training.scenes import INPUTS, Film, random_film
@@ -56,6 +58,8 @@ SIDE = 3
 """The mean over a low-resolution pixel takes SIDE x SIDE rays; odd, so that one ray goes through the centre."""
 HISTORIES = (6, 7, 9)
 """Display frames of a film that get a truth and have five predecessors."""
+FAR = 15.0
+"""PSNR of bilinear upsampling, dB: right sequences have 20 and more, the truth of another scene 8 to 13."""
 START = 2
 """One more frame with a truth; the start of the film cuts its history short."""
 
@@ -187,6 +191,12 @@ def sequence_samples(low: Path, high: Path, reading: SequenceOptions, hole_fill:
             yield from samples(window, {number: truth}, hole_fill)
 
 
+def nearness(film: Sequence[Sample]) -> float:
+    """PSNR of the samples' first colours, enlarged, over R, G and B; dB, at most 99."""
+    errors = [np.mean((upsample_centres(sample.inputs[..., :3]) - sample.truth) ** 2) for sample in film]
+    return min(-10 * math.log10(np.mean(errors) + 1e-12), 99.0)
+
+
 def split_of(scene: str) -> str:
     """The split of a scene, the same for all its sequences: about one scene in ten is for validation, and one for the test."""
     return {0: "validation", 1: "test"}.get(int(hashlib.sha256(scene.encode()).hexdigest(), 16) % 10, "training")
@@ -303,8 +313,12 @@ def make(
         if name in ("", ".", "..") or not {"/", "\\"}.isdisjoint(name):
             raise InputError(f"--name {name}: expected the name of a folder, without separators")
         scene = scene or name
-        film = sequence_samples(low, high, reading, hole_fill)
-        echo(f"{name}: {write(out / name, scene, split or split_of(scene), hole_fill, film, [low, high])} samples")
+        require_shard(out / name, [low, high])
+        split, film = split or split_of(scene), list(sequence_samples(low, high, reading, hole_fill))
+        count = write(out / name, scene, split, hole_fill, film, [low, high])
+        near = nearness(film)
+        doubt = f"; below {FAR:g}: is {high} the truth of {low}?" if near < FAR else ""
+        echo(f"{name}: {count} samples for {split}; bilinear upsampling has {near:.1f} dB{doubt}")
     if analytic:
         work = partial(write_film, inputs=inputs, size=size, hole_fill=hole_fill, split=split, out=out)
         with ProcessPoolExecutor(jobs) as pool:

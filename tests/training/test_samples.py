@@ -259,7 +259,23 @@ def test_the_profile_is_the_one_whose_channels_the_files_have(tmp_path, capsys):
         write_channels(low / f"a.{number:04d}.exr", frame_channels(number, (16, 24)))
     write_channels(high / "a.0006.exr", {name: np.full((32, 48), 0.5) for name in "RGB"})
     module.main(["-o", str(tmp_path / "out"), "--sequence", str(low), str(high), "--name", "mine"])
-    assert capsys.readouterr().out == "mine: 2 samples\n"
+    assert capsys.readouterr().out.startswith("mine: 2 samples for ")
+
+
+def test_a_truth_of_another_scene_is_suspected(tmp_path, capsys):
+    low, high = tmp_path / "lr", tmp_path / "hr"
+    for folder in (low, high):
+        folder.mkdir()
+    half = {name: np.full((16, 24), 0.5) for name in "RGB"}
+    for number in range(7):
+        write_channels(low / f"a.{number:04d}.exr", frame_channels(number, (16, 24)) | half)
+    write_channels(high / "a.0006.exr", {name: np.full((32, 48), 0.5) for name in "RGB"})
+    words = ["-o", str(tmp_path / "out"), "--sequence", str(low), str(high), "--name", "mine", "--split", "test"]
+    module.main(words)
+    assert capsys.readouterr().out == "mine: 2 samples for test; bilinear upsampling has 99.0 dB\n"
+    write_channels(high / "a.0006.exr", {name: np.full((32, 48), 0.01) for name in "RGB"})
+    module.main(words)
+    assert f"; below 15: is {high} the truth of {low}?" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("domain", ["linear", "display"])
