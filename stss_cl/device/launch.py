@@ -22,6 +22,8 @@ Arguments = Mapping[str, Any]
 
 NUMBERS: Mapping[str, type] = {"int": np.int32, "uint": np.uint32, "float": np.float32, "ulong": np.uint64}
 """Type of a number in a kernel -> NumPy's; a number is of Python or NumPy, and a bool is an int."""
+NO_BUFFER = np.uintp(0)
+"""In place of a buffer; PyOpenCL before 2026.1.4 refuses None."""
 FORMATS = {"int": "i", "uint": "I", "float": "f"}
 """Type of a struct's member -> its format for Python's ``struct``: all have the same size, so there is no padding between them."""
 
@@ -165,7 +167,9 @@ class Kernel:
             fits = kind in NUMBERS and isinstance(value, numbers)
         if not fits:
             raise TypeError(f"kernel {self.name}: argument {name} is {kind}, got {type(value).__name__}")
-        return value if kind.endswith("*") else NUMBERS[kind](value)
+        if kind.endswith("*"):
+            return NO_BUFFER if value is None else value
+        return NUMBERS[kind](value)
 
 
 @dataclass(frozen=True)
