@@ -29,7 +29,7 @@ FLOORS = {
     "conformance": "command pytest_plugin > graph > report > suite > explain > judging reference_port > answers mistakes cases > "
     "protocol scenes tolerance",
     "stss_cl": "skip > frame > network image_space > device graph liveness options cost",
-    "stss_ground": "exit_status commands > optional option_kinds output pages progress toml_table > machine arguments > "
+    "stss_ground": "exit_status commands > optional option_kinds output pages progress toml_table cores > machine arguments > "
     "errors terminal version regular_file",
 }
 """The rooms of a package from top to bottom: a room imports those on the floors below it, and none beside it."""

@@ -21,7 +21,8 @@ def highlights(color: Image) -> Image | None:
     """The part above 1 of a scene-linear colour (H, W, 3), at most `LARGEST`; None where no pixel has any. NaN counts as 0."""
     if not (color > 1).any():  # NaN compares as False
         return None
-    return np.where(color > 1, np.minimum(color, LARGEST) - 1, 0).astype(np.float32)
+    # fmax takes the number where the other one is NaN
+    return (np.fmax(np.minimum(color, LARGEST), 1) - 1).astype(np.float32, copy=False)
 
 
 def add_highlights(color: Image, image: Image, above: Image) -> None:

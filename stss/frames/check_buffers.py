@@ -31,6 +31,11 @@ class _Plane(NamedTuple):
     otherwise: str = ""
     hint: str = ""
 
+    @property
+    def slack(self) -> float:
+        """How far beyond its range a value may lie."""
+        return ROUNDING if self.most == 1 else 0.0
+
 
 def float_hint(dtype: np.dtype[Any]) -> str:
     """How to convert a plane of integers to floating-point numbers."""
@@ -113,20 +118,32 @@ def _check(where: str, array: Array, shape: tuple[int, ...], plane: _Plane) -> N
         raise InputError(f"{where}: expected shape {shape}, found {array.shape}")
     require_unmasked(where, array)
     if where.endswith(": stencil"):
-        require_distinct(where, array, array.astype(np.float32))
-    if plane.otherwise == "any":
+        require_distinct(where, array, array.astype(np.float32, copy=False))
+    if plane.otherwise == "any" or _is_within(np.asarray(array), plane):
         return
     bad = np.isnan(array) if plane.otherwise == "inf" else ~np.isfinite(array)
     if bad.any():
         raise _error(where, "finite numbers" if plane.otherwise == "" else "numbers", array, bad, plane)
-    slack = ROUNDING if plane.most == 1 else 0.0
     if plane.least is not None:
-        bad = array <= 0 if plane.otherwise == "inf" else array < plane.least - slack
+        bad = array <= 0 if plane.otherwise == "inf" else array < plane.least - plane.slack
         if bad.any():
             expected = f"values {'>' if plane.otherwise == 'inf' else '>='} {plane.least:g}"
             raise _error(where, expected, array, bad, plane if plane.most != 1 else plane._replace(hint=""))
-    if plane.most is not None and (bad := array > plane.most + slack).any():
+    if plane.most is not None and (bad := array > plane.most + plane.slack).any():
         raise _error(where, f"values <= {plane.most:g}", array, bad, plane)
+
+
+def _is_within(array: Array, plane: _Plane) -> bool:
+    """Whether every value fits, by the smallest and the largest, which are NaN where a value is: two passes without a mask."""
+    if not array.size:
+        return True
+    low, high = array.min(), array.max()
+    if plane.otherwise == "inf":
+        return bool(low > 0)
+    fits = np.isfinite(low) and np.isfinite(high)
+    if plane.least is not None:
+        fits = fits and low >= plane.least - plane.slack
+    return bool(fits and (plane.most is None or high <= plane.most + plane.slack))
 
 
 def _error(where: str, expected: str, array: Array, bad: Mask, plane: _Plane) -> InputError:

@@ -12,8 +12,9 @@ import numpy as np
 
 from stss.frames.buffers import Buffers
 from stss.frames.carried_planes import HIGHLIGHTS, add_highlights, carry, highlights
-from stss.images.color import Transfer
-from stss_ref.arrays import Array, Image, Mask, Plane
+from stss.images.color import BLOCK, Transfer
+from stss_ground.cores import for_blocks
+from stss_ref.arrays import Array, Image, Mask, Plane, require_shape
 from stss_ref.depth import DepthMode, normalise_depth
 from stss_ref.frame import FrameInputs
 from stss_ref.schedule import Schedule, schedule
@@ -22,6 +23,18 @@ BackendImage = Any
 """An image where its backend has it: a NumPy array, or for OpenCL on a GPU a ``pyopencl.array`` there."""
 WINDOW = 6
 """Stage ``frame`` reads its own display frame and the five before it, and nothing else."""
+CHANNELS = {
+    "color": (3,),
+    "motion": (2,),
+    "normal": (3,),
+    "position": (3,),
+    "stencil": (),
+    "nov": (),
+    "base_color": (3,),
+    "roughness": (),
+    "metallic": (),
+}
+"""The last axis of a display frame's planes; () for a plane (H, W)."""
 
 
 @dataclass(frozen=True)
@@ -48,34 +61,52 @@ def prepare(buffers: Buffers, to_display: Transfer, depth: DepthMode, *, copy: b
 
     ``copy`` False: motion, NoV, stencil and position stay the caller's arrays where they are float32; the caller must not write to them
     while the frame is in use.
+
+    Raises:
+        ArrayError: a plane has another shape than `Buffers` says, or depth is neither float32 nor float64.
     """
+    height, width = size = buffers.size
+    for name, channels in CHANNELS.items():
+        if name != "color" or buffers.color is not None:
+            require_shape(name, getattr(buffers, name), (*size, *channels))
+    color, normal, base_color = buffers.color, np.moveaxis(buffers.normal, -1, 0), np.moveaxis(buffers.base_color, -1, 0)
+    shown, above, gbuffer = (np.empty((*size, n), np.float32) for n in (3, 3, 9))
+    # One channel at a time: NumPy is slow where the axis that lies together has three numbers.
+    planes = [*normal, normalise_depth(buffers.depth, depth), buffers.roughness, buffers.metallic, *base_color]
+    fills = [(gbuffer[..., i], plane) for i, plane in enumerate(planes)]
 
     def own(plane: Array) -> Array:
-        return np.array(plane, np.float32, copy=copy or None, order="C")
+        if not copy and plane.dtype == np.float32 and plane.flags.c_contiguous:
+            return np.asarray(plane)
+        fills.append((np.empty(plane.shape, np.float32), plane))
+        return fills[-1][0]
 
-    planes = [
-        buffers.normal,
-        normalise_depth(buffers.depth, depth)[..., None],
-        buffers.roughness[..., None],
-        buffers.metallic[..., None],
-        buffers.base_color,
-    ]
+    motion, nov, stencil, position = map(own, (buffers.motion, buffers.nov, buffers.stencil, buffers.position))
+
+    def fill(rows: slice) -> bool:
+        for owned, plane in fills:
+            owned[rows] = plane[rows]
+        if color is None:
+            return False
+        shown[rows] = to_display.encode(color[rows])
+        bright = highlights(color[rows]) if to_display.clips else None
+        above[rows] = 0 if bright is None else bright
+        return bright is not None
+
+    has_highlights = any(for_blocks(height, max(1, BLOCK // width), fill))
+    carried = {} if color is None else {name: np.array(plane, np.float32, order="C") for name, plane in buffers.carried.items()}
+    if has_highlights:
+        carried[HIGHLIGHTS] = above
     return DisplayFrame(
         number=buffers.number,
-        color=None if buffers.color is None else to_display.encode(buffers.color),
-        motion=own(buffers.motion),
-        gbuffer=np.concatenate(planes, axis=-1, dtype=np.float32),
-        nov=own(buffers.nov),
-        stencil=own(buffers.stencil),
-        position=own(buffers.position),
-        carried={} if buffers.color is None else _planes_to_carry(buffers, buffers.color, to_display),
+        color=None if color is None else shown,
+        motion=motion,
+        gbuffer=gbuffer,
+        nov=nov,
+        stencil=stencil,
+        position=position,
+        carried=carried,
     )
-
-
-def _planes_to_carry(buffers: Buffers, color: Image, to_display: Transfer) -> dict[str, Image]:
-    planes = {name: np.array(plane, np.float32) for name, plane in buffers.carried.items()}
-    above = highlights(color) if to_display.clips else None
-    return planes if above is None else {**planes, HIGHLIGHTS: above}
 
 
 def window_at(frames: Sequence[DisplayFrame], position: int) -> Sequence[DisplayFrame]:
