@@ -247,7 +247,7 @@ def edge(motion, off, where=..., *, far=None, apart=1, depth=0.0, stencil=0.0):
         now[..., 2][far] = 1e20
     before = now.copy()
     before[..., 2][where] += off
-    positions = np.stack([now, now, *3 * [np.roll(before, (dy, dx), (0, 1))]])[1:]  # finite before the first row, too
+    positions = np.stack([now, now, *3 * [np.roll(before, (int(dy), int(dx)), (0, 1))]])[1:]  # finite before the first row, too
     planes = {"gbuffer": np.full((*size, 9), depth), "nov": np.ones(size), "motions": np.full((5, *size, 2), motion)}
     return noise(size, positions=positions, stencils=np.stack([x * 0 + stencil, *3 * [0 * x]]), **planes)
 
