@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """``python -m stss``, and ``stss``."""
 
+import signal
 import sys
 
 
@@ -16,6 +17,9 @@ def main() -> None:
         run()
     except KeyboardInterrupt:
         sys.exit(130)
+    finally:
+        # The command has ended. A second Ctrl-C would break off what Python does at its end, with a traceback.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 if __name__ == "__main__":

@@ -21,6 +21,14 @@ from stss_lab.baselines.registry import MethodBackend
 from tests.hostile.cases import call, stss
 
 
+@pytest.fixture(autouse=True)
+def own_interrupt():
+    """``main`` gives up the handler of Ctrl-C at its end; other tests need it, and so do their child processes."""
+    handler = signal.getsignal(signal.SIGINT)
+    yield
+    signal.signal(signal.SIGINT, handler)
+
+
 @pytest.fixture
 def frames(demo):
     return demo / "frames"
@@ -104,6 +112,32 @@ main()
         # The last: as it ends, when Python has given its handler back.
         assert process.returncode in (0, 130, -signal.SIGINT)
         assert not text.strip()
+
+
+def test_a_second_interrupt_while_it_ends_says_nothing():
+    """What is to be done at the end, as the files of new kernels are remembered, is not broken off."""
+    program = """
+import atexit, signal, sys, time
+import stss.cli.main
+from stss.__main__ import main
+
+def command():
+    signal.raise_signal(signal.SIGINT)
+
+def end():
+    print("ends", flush=True)
+    time.sleep(1)
+    print("ended", flush=True)
+
+atexit.register(end)
+stss.cli.main.main = command
+main()
+"""
+    with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout.readline() == "ends\n"
+        process.send_signal(signal.SIGINT)
+        out, text = process.communicate(timeout=60)
+    assert (process.returncode, out, text) == (130, "ended\n", "")
 
 
 def test_an_interrupt_of_a_command_says_nothing(monkeypatch, capsys, tmp_path):
