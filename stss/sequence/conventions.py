@@ -19,6 +19,9 @@ from stss_ref.arrays import Array, Image, Mask, Plane
 BACKGROUND_POSITION = 1e7
 """Each coordinate of the position where nothing was hit; cm. One place, so that sky matches sky; far away, so that no surface matches."""
 
+STORED = 1 - 2.0**-11
+"""A file may store depth as half floats: a value rounds down to no less than this share of itself."""
+
 _COLORS = {"color", "colour", "colors", "colours", "rgb", "rgba"}
 """Names by which a plane of another name is taken for a mistake, if there is no ``color``."""
 
@@ -207,7 +210,7 @@ def linear_depth(depth: Plane, rule: DepthRule) -> Plane:
             d = 1 / (d / rule.near + (1 - d) / rule.far)
             hit = np.isfinite(d) & (d < rule.far * (1 - 1e-6)) & ~background
         else:
-            hit = np.isfinite(d) & (d > 0) & (d < rule.background)
+            hit = np.isfinite(d) & (d > 0) & (d < rule.background * STORED)
     return np.where(hit, d, np.inf).astype(np.float32)
 
 

@@ -67,7 +67,8 @@ class DepthRule:
 
     Attributes:
         kind: "planar": along the view axis; "ray": distance to the camera; "device": a depth buffer's values.
-        background: a value of this or more means that nothing was hit; so does one that is 0, negative or not finite.
+        background: this value, as a half float rounds it, and larger ones mean that nothing was hit; so do 0, negative and non-finite
+            ones.
         near: "device" only: distance of the near plane.
         far: "device" only: distance of the far plane; infinite allowed.
         reversed: "device" only: 1 is the near plane, 0 the far one.

@@ -24,7 +24,7 @@ from stss.sequence.find_profile import frames_of, require_fit, settle_profile
 from stss.sequence.profiles import BUFFERS, CONSTANTS, Profile
 from stss.sequence.projection import Projection
 from stss.sequence.raw_frame import CARRIED, UNIT_RANGE, NonFinite, RawFrame, read_stored, settle_all_finite, settle_non_finite
-from stss.sequence.solve_camera import solve_camera
+from stss.sequence.solve_camera import MIN_PIXELS, solve_camera
 from stss_ground.arguments import listing, path_of, require_choice, require_kind, suggest
 from stss_ground.errors import InputError
 from stss_ground.progress import Track
@@ -258,9 +258,15 @@ class Sequence:
 
     def _solve(self, number: int, arrays: dict[str, Array]) -> CameraPose:
         rule = self.profile.depth
-        camera = solve_camera(linear_depth(arrays["depth"][..., 0], rule), arrays["position"], ray=rule.kind == "ray")
+        depth = linear_depth(arrays["depth"][..., 0], rule)
+        if not np.isfinite(depth).any():  # a sky alone has NoV 0 from any place
+            return CameraPose(np.zeros(3))
+        camera = solve_camera(depth, arrays["position"], ray=rule.kind == "ray")
         if camera is None or camera.residual > MAX_RESIDUAL:
             reason = "too few surfaces" if camera is None else f"they differ by {camera.residual:.1g} of the distance"
+            depths, counts = np.unique(depth[np.isfinite(depth)], return_counts=True)
+            if len(depths) > 1 and depths[-1] > 2 * depths[-2] and counts[-1] >= MIN_PIXELS:
+                reason += f"; {counts[-1]} pixels have depth {depths[-1]:g}: if nothing was hit there, give a profile with this background"
             raise InputError(
                 f"{self._where(number)}: no nov and no camera, and position and depth do not give one ({reason}): give --camera CSV "
                 f"(frame,x,y,z in the scene's unit) or a channel {' or '.join(names[0] for names in self.profile.channels['nov'])}"

@@ -238,6 +238,16 @@ def test_all_buffers_that_are_missing_are_said_at_once(tmp_path):
         assert words in str(error.value)
 
 
+@pytest.mark.parametrize("stored", [np.float32, np.float16])
+@pytest.mark.parametrize("background", [1e11, 1e12, 1e30, 12345.0, 5.001])
+def test_a_background_is_known_as_the_file_rounds_it(background, stored):
+    """1e12 is 999999995904 as a float, and 12345 is 12344 as a half: less than the number that the profile has."""
+    rule = load_profile("stss", depth={"background": background}).depth
+    with np.errstate(over="ignore"):
+        depth = linear_depth(np.array([[stored(background), 0.99 * background, 1]], np.float32), rule)
+    np.testing.assert_array_equal(depth, np.array([[np.inf, 0.99 * background, 1]], np.float32))
+
+
 @pytest.mark.parametrize(
     ("name", "in_file", "motion"),
     [

@@ -173,6 +173,22 @@ def test_nov_from_the_camera(write_frames, tmp_path):
     assert (sequence.load(2).nov[1:] < 0).all()
 
 
+def test_a_camera_that_is_not_found_and_the_background_that_may_be_the_cause(write_frames):
+    """A sky of depth 1e6 in a profile without it; a plane that faces the camera has no such pixels; a sky alone needs no camera."""
+
+    def change(number, channels):
+        channels["depth.Z"][: 16 * (number == 1) + 48 * (number == 3)] = 1e6 if number == 1 else 0
+        return without("nov.X")(number, channels)
+
+    sequence = open_sequence(write_frames([1, 2, 3], change=change), "stss")
+    hint = r"1024 pixels have depth 1e\+06: if nothing was hit there, give a profile with this background\): give --camera CSV"
+    with pytest.raises(InputError, match=hint):
+        sequence.load(1)
+    with pytest.raises(InputError, match=r"do not give one \(too few surfaces\): give --camera CSV"):
+        sequence.load(2)
+    assert not sequence.load(3).nov.any()
+
+
 WIDE = "frame,x,y,z,ux,uy,uz,vx,vy,vz,wx,wy,wz"
 
 
