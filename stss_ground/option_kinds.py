@@ -19,6 +19,8 @@ import click
 MAX_SEED = 2**32 - 1
 MAX_SECONDS = 7 * 24 * 3600
 
+_FILMS_AND_PICTURES = {".avi", ".exr", ".jpeg", ".jpg", ".mkv", ".mov", ".mp4", ".mxf", ".png", ".tif", ".tiff", ".webm"}
+
 
 class _Place(click.Path):
     """A path that is not empty: a script's variable that is not set would otherwise mean the current folder."""
@@ -72,6 +74,13 @@ class WrittenFile(_Place):
 class WrittenFolder(_Place):
     """A folder that files are written into. The command compares them with its inputs: only it knows their names."""
 
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The path; a new one that is named like a file is the user's mistake: it would become a folder of that name."""
+        path = super().convert(value, param, ctx)
+        if path.suffix.lower() in _FILMS_AND_PICTURES and not path.is_dir():
+            self.fail(f"expected a folder for frames, found the name of a file, {path.name}", param, ctx)
+        return path
+
 
 class Number(click.FloatRange):
     """A number within a range, never NaN or infinite; ``click.FloatRange`` takes both."""
@@ -90,8 +99,8 @@ class Names(click.ParamType):  # pyrefly: ignore[implicit-any-type-argument]
     name = "a,b"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, ...]:
-        """Split at commas."""
-        return value if isinstance(value, tuple) else tuple(name for name in str(value).split(",") if name)
+        """Split at commas, without the spaces around."""
+        return value if isinstance(value, tuple) else tuple(name for name in map(str.strip, str(value).split(",")) if name)
 
 
 class Size(click.ParamType):  # pyrefly: ignore[implicit-any-type-argument]

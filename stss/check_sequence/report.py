@@ -160,7 +160,7 @@ def summary(numbers: list[int], size: tuple[int, int]) -> str:
     space, seconds = pixels * BYTES_PER_PIXEL / 2**20, START + pixels * SECONDS_PER_PIXEL / available_threads()
     return (
         f"frames {numbers[0]} to {numbers[-1]}, {width} x {height} in, {2 * width} x {2 * height} out; "
-        f"about {max(1, round(space))} MiB, and {timedelta(seconds=round(seconds))} on this processor"
+        f"about {max(1, round(space))} MiB of files, and {timedelta(seconds=round(seconds))} on this processor"
     )
 
 

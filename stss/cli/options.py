@@ -59,7 +59,7 @@ class FrameNumbers(click.ParamType):  # pyrefly: ignore[implicit-any-type-argume
         """Parse; a word that is no frame number is the user's mistake."""
         if isinstance(value, tuple):
             return value
-        words = str(value).split(",")
+        words = [word.strip() for word in str(value).split(",")]
         if not all(_is_whole(word, MAX_DIGITS) for word in words):
             self.fail(f"expected frame numbers a,b,..., got {value!r}", param, ctx)
         return tuple(sorted({int(word) for word in words}))

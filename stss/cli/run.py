@@ -79,6 +79,9 @@ def run(
         _tell("camera: from position and depth; --camera CSV gives another")
     if reading.background == "camera":
         _tell("background: its motion is computed from the camera; the files' motion is not used there")
+    for buffer, value in (("roughness", reading.roughness), ("metallic", reading.metallic)):
+        if value is not None and buffer in frames.first.sources:
+            _tell(f"{buffer}: the files have {frames.first.sources[buffer].names[0]}; --{buffer} is not used")
     options = RunOptions.of(frames.profile, format=suffix, keep_going=keep_going, **others)
     if suffix == "png":
         _tell_of_png(frames, options)

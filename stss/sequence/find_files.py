@@ -116,8 +116,9 @@ def find_frames(path: Path, endings: Collection[str]) -> Frames:
             raise InputError(f"{file.path}: the same frame as {other.name}")
     if not by_prefix:
         kinds = "NAME.0001.exr" if "" in endings else f"NAME{_list_endings(endings)}.0001.exr"
+        others = f"; found {min(file.path.name for file in files)}" if pattern is not None and files else ""
         raise InputError(
-            f"{path}: no frames; expected files named like {kinds}{_fractions(files)}{_below(folder)}{_pictures(folder)}"
+            f"{path}: no frames; expected files named like {kinds}{others}{_fractions(files)}{_below(folder)}{_pictures(folder)}"
         )
     if len(by_prefix) > 1:
         stems = ", ".join(name or "(no name)" for name in sorted(by_prefix))

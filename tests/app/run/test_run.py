@@ -204,8 +204,10 @@ def test_alpha_highlights_layers_and_metadata_come_out(write_frames, tmp_path):
         give_metadata(
             path, {"framesPerSecond": (24000, 1001), "PixelAspectRatio": 2.0, "whiteLuminance": 80.0, "worldToNDC": ORDER}
         )
-    result = call("run", lr, "-o", tmp_path / "out", *PLAIN, "--cuts", "6", "--also", "light")
+    result = call("run", lr, "-o", tmp_path / "out", *PLAIN, "--cuts", " 6", "--also", "light.R, light.G", "--metallic", "0")
     assert result.returncode == 0, result.stderr
+    assert "metallic: the files have metallic.X; --metallic is not used" in result.stderr
+    assert "roughness" not in result.stderr
     assert "highlights: up to" in result.stderr
     assert "4 SF, 2 EF written" in result.stderr
     shares = [read_header(path).attributes.get("stss:static-holes") for path in sorted((tmp_path / "out").glob("*.exr"))]
@@ -266,6 +268,21 @@ def linear_frames(write_frames, **metadata):
     for path in folder.glob("*.exr"):
         give_metadata(path, {"oiio:ColorSpace": "lin_rec709_scene", **metadata})
     return folder
+
+
+@pytest.mark.parametrize("name", ["film.mp4", "out/f.####.exr", "a.PNG"])
+def test_a_folder_is_not_named_like_a_file(write_frames, tmp_path, name):
+    lr = write_frames([1, 2])
+    result = call("run", lr, "-o", tmp_path / name, *PLAIN)
+    file = name.rpartition("/")[2]
+    assert (
+        result.stderr
+        == f"stss: Invalid value for '-o' / '--out': expected a folder for frames, found the name of a file, {file}\n"
+    )
+    assert result.returncode == 2
+    assert list(tmp_path.iterdir()) == [lr]
+    (tmp_path / "old.exr").mkdir()
+    assert call("run", lr, "-o", tmp_path / "old.exr", *PLAIN).returncode == 0
 
 
 def test_a_png_is_tagged_as_what_it_is(write_frames, tmp_path):

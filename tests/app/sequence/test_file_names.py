@@ -23,6 +23,13 @@ def find_names(folder, *names, path=None):
     return {number: files[""].stem for number, files in find_frames(path or folder, {""}).items()}
 
 
+def test_a_pattern_that_finds_nothing_names_what_is_there(tmp_path):
+    with pytest.raises(
+        InputError, match=r"t\.####\.exr: no frames; expected files named like NAME\.0001\.exr; found s\.0001\.exr$"
+    ):
+        find_names(tmp_path / "in", "s.0002", "s.0001", path=tmp_path / "in" / "t.####.exr")
+
+
 @pytest.mark.parametrize(
     "names",
     [
