@@ -38,6 +38,7 @@ NOT_RUN = {
     r"python -m pytest .*--port": "a port of the reader's; tests/meta runs the suite so",
     r"stss conform ": "a port of the reader's; tests/app/port/test_port.py and test_examples.py run some",
     r"stss run .* --cluster tcp:": "a cluster; tests/app/cluster/test_cluster.py makes one",
+    r"ffmpeg ": "a program of others",
     r"openjd run ": "tests/app/cluster/test_farm.py runs it as it stands",
     r"stss (bench|tune|stress|gpu-report)\b": "minutes, a GPU, or PyTorch; tests of their own run each of them small",
     r"stss weights import checkpoints/": "the authors' checkpoints; tests/app/weights imports one of their kind",
