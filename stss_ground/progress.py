@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from datetime import timedelta
 from threading import Event, Thread
 from typing import Any, Protocol, TypeVar
@@ -55,7 +55,9 @@ def show_progress(
             line = f"{count} of {total} {unit} in {timedelta(seconds=round(took))}{pace}" + (f": {label}" if label else "")
             console.print(line, soft_wrap=True, markup=False, highlight=False)
 
-    with _bar(console, unit) as bar:
+    bar = _bar(console, unit)
+    # Older versions of Rich end a bar that is disabled with an empty line.
+    with bar if console.is_terminal else nullcontext():
         task = bar.add_task(text, total=total)
 
         def advance(text: str = "", *, done: int = 1) -> None:
@@ -110,6 +112,5 @@ def _bar(console: Console, unit: str) -> Progress:
         TextColumn("{task.description}"),
         BarColumn(), MofNCompleteColumn(), Rate(), TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn(),
         console=console,
-        disable=not console.is_terminal,
         transient=True,
     )  # fmt: skip

@@ -65,7 +65,7 @@ class FrameNumbers(click.ParamType):  # pyrefly: ignore[implicit-any-type-argume
         return tuple(sorted({int(word) for word in words}))
 
 
-class TransferName(click.Choice[str]):
+class TransferName(click.Choice):  # pyrefly: ignore[implicit-any]  # generic only since click 8.2
     """A transfer; ``hdr`` gives the default, with a warning."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:

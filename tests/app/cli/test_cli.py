@@ -54,7 +54,7 @@ def changeable(frames, tmp_path):
 def test_a_command_alone_prints_its_help_in_lines(group):
     words = [sys.executable, "-m", "stss", *group]
     alone, asked = (subprocess.run(words + more, capture_output=True, text=True, check=False) for more in ([], ["--help"]))
-    assert (alone.returncode, asked.returncode) == (2, 0)
+    assert (alone.returncode, asked.returncode) in ((2, 0), (0, 0))  # 0 before click 8.2
     assert alone.stdout + alone.stderr == asked.stdout
 
 
