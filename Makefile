@@ -72,7 +72,7 @@ portability: $(VENV)/.test
 lowest: $(VENV)/.base
 	$(BIN)/python -m venv $(VENV)-lowest
 	$(BIN)/python tests/lowest.py > $(VENV)-lowest/requirements.txt
-	$(VENV)-lowest/bin/python -m pip install $(PIP) -r $(VENV)-lowest/requirements.txt pytest-xdist hatchling scipy
+	$(VENV)-lowest/bin/python -m pip install $(PIP) -r $(VENV)-lowest/requirements.txt pytest-xdist hatchling scipy jsonschema
 	$(VENV)-lowest/bin/python -m pip install $(PIP) --no-deps --editable .
 	$(VENV)-lowest/bin/python -m pytest -n 2 --dist worksteal --no-loadscope-reorder
 
