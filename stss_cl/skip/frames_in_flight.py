@@ -7,6 +7,8 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import pyopencl as cl
+
 from stss_cl.cost import Cost
 from stss_cl.device.buffers import Outgoing
 from stss_cl.skip.display_frame import DisplayFrame
@@ -21,13 +23,14 @@ class FrameInFlight:
 
     Attributes:
         image, valid: see ``stss_cl.skip.stream.Stream.__call__``; not complete before ``finish``.
-        coming: the transfers that they wait for; finish them before they are dropped: a drop would wait, and block all threads of Python.
+        coming: the transfers or commands that they wait for; finish them before they are dropped: a drop would wait, and block all
+            threads of Python.
         cost: the cost of the frame.
     """
 
     image: Any
     valid: Any
-    coming: tuple[Outgoing, ...]
+    coming: tuple[Outgoing | cl.CommandQueue, ...]
     cost: Cost
 
     def finish(self) -> tuple[Any, Any]:

@@ -103,7 +103,7 @@ class Stream:
 
         Returns:
             image: (2H, 2W, 3) float32, not clipped: ``out``, or the stream's array, which is read-only if frames are kept. It does not
-                change while the caller holds it or a view of it.
+                change while the caller holds it or a view of it. On a GPU an array there may not yet be complete.
             valid: (H, W) False in the warping holes of the newest colour frame; read-only likewise. On the device uint8.
 
         Raises:
@@ -158,7 +158,11 @@ class Stream:
         if out is None and not on_host and not stay and isinstance(window[-1].gbuffer, cla.Array):
             height, width = window[-1].nov.shape
             out = cla.empty(self.device.queue, (2 * height, 2 * width, 3), np.float32, allocator=self.device.pool)
-        frame = self._enqueue(window, steps, out, stay=stay and not self.device.is_cpu)
+        try:
+            frame = self._enqueue(window, steps, out, stay=stay and not self.device.is_cpu)
+        except BaseException:
+            self.device.queue.finish()  # commands read arrays in place, which the caller may drop now
+            raise
         assert self._uploaded is not None
         try:
             self._uploaded.require_finite()
@@ -274,7 +278,7 @@ class Stream:
             cache.image.copy_to(out)
             cache.last = _last(frames, cache.read(steps), valid)
             there = mask_of(self.device, cache.prepare.mask, cache.layers.size, on_device=True)
-            return FrameInFlight(out, there.array, (), self.cost)
+            return FrameInFlight(out, there.array, self._commands(), self.cost)
         if valid is None:
             valid = mask_of(self.device, cache.prepare.mask, cache.layers.size, on_device=False)
         cache.last = _last(frames, cache.read(steps), valid)
@@ -297,10 +301,14 @@ class Stream:
         if out is not None:
             to: Any = out.base_data
             cl.enqueue_copy(self.device.queue, to, image.data, byte_count=out.nbytes, dst_offset=out.offset)
-            return FrameInFlight(out, valid.array, (), self.cost)
+            return FrameInFlight(out, valid.array, self._commands(), self.cost)
         image.send()
         valid.send()
         return FrameInFlight(image.array, valid.array.view(np.bool_), (image, valid), self.cost)
+
+    def _commands(self) -> tuple[cl.CommandQueue, ...]:
+        """The commands that a frame on the device waits for, on a CPU: they use memory of the host, which others may free afterwards."""
+        return (self.device.queue,) if self.device.is_cpu else ()
 
     def _arriving(self, size: tuple[int, int]) -> UploadedFrames:
         if self._uploaded is None or self._uploaded.size != size:

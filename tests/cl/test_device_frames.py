@@ -1,5 +1,6 @@
 """Display frames that an engine has on the device."""
 
+import threading
 from dataclasses import replace
 
 import numpy as np
@@ -8,7 +9,10 @@ import pyopencl.array as cla
 import pytest
 
 from stss.frames.display_frame import plan
+from stss_cl.skip import stream
+from stss_cl.skip.frames_in_flight import FrameInFlight
 from stss_cl.skip.stream import Stream
+from stss_cl.skip.uploaded_frames import UploadedFrames
 from stss_ref.arrays import ArrayError
 from tests.cl.films import SIZE, assert_same, calls_of, film, on, weights_for
 
@@ -72,3 +76,44 @@ def test_what_is_not_finite_is_named_in_any_frame_of_a_first_window(device, whic
     with pytest.raises(ArrayError, match="gbuffer: 1 non-finite"):
         stream([*frames[:which], broken, *frames[which + 1 :]], steps)
     np.testing.assert_array_equal(stream(frames, steps)[0], Stream(weights_for(device), device, skip="off")(frames, steps)[0])
+
+
+@pytest.fixture
+def gate(device):
+    """``gate()`` holds up the queue for a while; ``gate.event`` is over when it opens."""
+    if not device.is_cpu:
+        pytest.skip("memory of the host is copied")
+    event = cl.UserEvent(device.context)
+
+    def close():
+        cl.enqueue_barrier(device.queue, wait_for=[event])
+        threading.Timer(0.2, event.set_status, [cl.command_execution_status.COMPLETE]).start()
+
+    close.is_open = lambda: event.command_execution_status == cl.command_execution_status.COMPLETE
+    return close
+
+
+@pytest.mark.parametrize("skip", ["off", "exact"])
+def test_a_frame_on_a_processor_is_complete_when_it_is_returned(device, gate, monkeypatch, skip):
+    """Its commands use memory of the host, which is freed with the stream and with frames of the caller's."""
+    frames = film(["moving"] * 6)
+
+    def begun(*values):
+        gate()
+        return FrameInFlight(*values)
+
+    monkeypatch.setattr(stream, "FrameInFlight", begun)
+    window, steps = calls_of([on(device, frame) for frame in frames])[6]
+    Stream(weights_for(device), device, skip=skip)(window, steps)
+    assert gate.is_open()
+
+
+def test_no_command_is_left_behind_an_error(device, gate, monkeypatch):
+    def take(*_, **__):
+        gate()
+        raise ArrayError("nov: wrong")
+
+    monkeypatch.setattr(UploadedFrames, "take", take)
+    with pytest.raises(ArrayError, match="nov"):
+        Stream(weights_for(device), device)(*calls_of(film(["nothing"] * 6))[6])
+    assert gate.is_open()
