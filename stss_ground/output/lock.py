@@ -60,7 +60,7 @@ def hold_lock(folder: Path) -> Generator[None, None, None]:
 
 def _take(path: Path) -> BaseFileLock:
     _require_lock(path)
-    is_new, lock = not os.path.lexists(path), FileLock(path)
+    is_new, lock, signature = not os.path.lexists(path), FileLock(path), _read(path)
     try:
         try:
             with warnings.catch_warnings():
@@ -76,7 +76,13 @@ def _take(path: Path) -> BaseFileLock:
     except Timeout:
         soft = type(lock) is SoftFileLock
         remedy = f"if it ended long ago, remove {path}" if soft else "wait for its end, or choose another folder"
-        raise InputError(f"{path.parent}: {_holder(path)}; {remedy}") from None
+        if signature and not _read(path):  # before version 4 of filelock, trying a lock empties its file
+            with (
+                suppress(OSError),
+                path.open("r+", encoding="utf-8") as file,
+            ):  # never a new file: the other process may have ended
+                file.write(signature)
+        raise InputError(f"{path.parent}: {printable(signature.strip()) or 'another process'} writes there; {remedy}") from None
     if type(lock) is not SoftFileLock:  # which signs itself
         signature = f"process {os.getpid()} on {platform.node()} since {time.strftime('%Y-%m-%d %H:%M:%S')}\n"
         path.write_text(signature, encoding="utf-8")
@@ -97,9 +103,8 @@ def _require_lock(path: Path) -> None:
         raise InputError(f"{path}: expected the lock of a run, found something else; remove it, or choose another folder")
 
 
-def _holder(path: Path) -> str:
+def _read(path: Path) -> str:
     try:
-        words = printable(path.read_bytes()[:200].decode(errors="replace").strip())
+        return path.read_bytes()[:_MOST_BYTES].decode(errors="replace")
     except OSError:
-        words = ""
-    return f"{words or 'another process'} writes there"
+        return ""
