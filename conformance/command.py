@@ -14,6 +14,7 @@ from typing import Any
 import click
 from click.core import ParameterSource
 
+from conformance import OLDEST_HYPOTHESIS
 from stss_ground.arguments import suggest
 from stss_ground.commands import Subcommand
 from stss_ground.errors import InputError
@@ -135,8 +136,8 @@ def conform(
 
     Ends with status 0 if no stage departs, 1 if one does or nothing was judged.
     """
-    for package in ("pytest", "hypothesis"):
-        require_package(package, "conform")
+    require_package("pytest", "conform")
+    require_package("hypothesis", "conform", OLDEST_HYPOTHESIS)
     if not faulthandler.is_enabled():
         faulthandler.enable(2)  # native code of a Python port may end this process: its line is then printed
     choice = PortChoice(spec, program, dtype, winograd, weights_version, timeout)

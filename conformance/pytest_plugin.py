@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from conformance import OLDEST_HYPOTHESIS
 from conformance.judging.findings import TestResult
 from conformance.judging.judge import TIERS, Judge
 from conformance.judging.known_failures import KnownFailuresError, read_known
@@ -21,6 +22,7 @@ from conformance.protocol.load_port import ARITHMETICS, load_port
 from conformance.report.failures import keep_failure
 from conformance.suite.run_suite import JUDGED, SUITE, SuitePlugin, require_known
 from stss_ground.errors import InputError
+from stss_ground.optional import require
 
 FAILURES = Path("conform-failures")
 NAME = "stss-suite"
@@ -48,6 +50,7 @@ def pytest_configure(config: pytest.Config) -> None:
         return
     options = config.option
     try:
+        require("hypothesis", "conform", OLDEST_HYPOTHESIS)
         port, abilities = load_port(
             options.port, options.exec, options.start_timeout, options.dtype, options.winograd, options.weights_version
         )

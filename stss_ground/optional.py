@@ -6,29 +6,33 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import sys
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from stss_ground.errors import InputError
 
 
-def require(name: str, extra: str = "bench") -> Any:
+def require(name: str, extra: str = "bench", oldest: tuple[int, ...] = ()) -> Any:
     """Import the module ``name``; untyped, since these packages have no types or need not be installed.
 
     Args:
         name: the module's dotted name.
         extra: the distribution's extra that has its package.
+        oldest: the beginning of the oldest version that will do; numbers.
 
     Raises:
-        InputError: its package is not installed.
+        InputError: its package is not installed, or too old.
     """
+    package = name.partition(".")[0]
+    advice = f"pip install --upgrade {package}, or in a checkout pip install '.[{extra}]'"
     try:
-        return importlib.import_module(name)
+        module = importlib.import_module(name)
     except ModuleNotFoundError as error:
-        package = name.partition(".")[0]
-        raise InputError(
-            f"{package} is not installed: pip install {package}, or in a checkout pip install '.[{extra}]'"
-        ) from error
+        raise InputError(f"{package} is not installed: {advice.replace(' --upgrade', '')}") from error
+    if oldest and (found := version(package)) and tuple(map(int, found.split(".")[: len(oldest)])) < oldest:
+        raise InputError(f"{package}: expected version {'.'.join(map(str, oldest))} or newer, found {found}: {advice}")
+    return module
 
 
 def add_own_conformance() -> None:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
 from time import monotonic
@@ -12,7 +13,6 @@ import hypothesis
 import numpy as np
 from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
-from hypothesis.internal.conjecture import providers
 
 from conformance.judging.findings import DepartureError, Failure
 from conformance.judging.judge import Body, Judge
@@ -116,6 +116,7 @@ def _no_local_constants() -> Generator[None]:
     Hypothesis reads them in whatever such modules are imported, so cases would depend on these, and not on the seed alone: a checkout of
     the judge, or one more import, would give others than the wheel.
     """
+    providers: Any = sys.modules.get("hypothesis.internal.conjecture.providers")
     names = ("_get_local_constants", "CONSTANTS_CACHE")
     if not all(hasattr(providers, name) for name in names):  # older versions draw no such constants
         yield

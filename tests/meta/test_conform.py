@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from conformance import OLDEST_HYPOTHESIS
 from conformance.answers.expected import Expected, largest
 from conformance.answers.network import expect_layers
 from conformance.answers.port_arithmetic import Arithmetic
@@ -31,6 +32,7 @@ from conformance.suite.run_suite import run_suite
 from stss.cli.main import stss
 from stss.images.read_write import read_rgb
 from stss.port import ReferencePort
+from stss_ground import optional
 from stss_ground.errors import InputError
 from stss_lab.stress.inputs import exact
 from stss_ref.constants import HOLE_FILLS
@@ -378,3 +380,24 @@ def test_the_example_in_cpp_passes(tmp_path):
         outcome = subprocess.run([tmp_path / "cpp" / "port", tmp_path / "job"], capture_output=True, text=True, check=False)
         assert (outcome.returncode, outcome.stderr.count("\n")) == (2, 1)
         assert words in outcome.stderr
+
+
+@pytest.mark.parametrize("found", ["6.100.8", "6.130.13", "5.200.0"])
+def test_an_old_hypothesis_is_refused(monkeypatch, found):
+    """Its cases are not those that are asked for, so mistakes would pass."""
+    monkeypatch.setattr(optional, "version", lambda _: found)
+    result = CliRunner().invoke(stss, ["conform", "--port", "stss.port:ReferencePort"])
+    assert isinstance(result.exception, InputError)
+    assert str(result.exception).startswith(f"hypothesis: expected version 6.131 or newer, found {found}: pip install")
+
+
+@pytest.mark.parametrize("found", ["6.131.0", "6.140.2", "7.0"])
+def test_a_newer_hypothesis_is_not(monkeypatch, found):
+    monkeypatch.setattr(optional, "version", lambda _: found)
+    optional.require("hypothesis", oldest=OLDEST_HYPOTHESIS)
+
+
+@pytest.mark.parametrize("file", ["pyproject.toml", "packaging/judge/pyproject.toml"])
+def test_the_packages_ask_for_the_oldest_hypothesis_that_does(file):
+    text = (Path(__file__).parents[2] / file).read_text(encoding="utf-8")
+    assert {*re.findall(r"hypothesis>=([\d.]+)", text)} == {".".join(map(str, OLDEST_HYPOTHESIS))}
