@@ -4,6 +4,7 @@ import ast
 import re
 import sys
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -93,8 +94,11 @@ def missing_names(page):
 
 
 def bad_lines(page):
-    """Lines over 100 columns, without tables and the targets of links; tables over six columns."""
-    for line in prose(page).splitlines():
+    """Lines over 100 columns, without tables and the targets of links; tables over six columns, or whose head ends a paragraph."""
+    lines = prose(page).splitlines()
+    for before, line in pairwise(["", *lines]):
+        if re.fullmatch(r" *\|[ :]*-[-|: ]+", line) and not before.lstrip().startswith("|"):
+            yield f"the head of a table, expected on a line of its own: {before}"
         if line.startswith("|") and line.replace(r"\|", "").count("|") > 7:
             yield f"more than six columns: {line}"
         elif not line.lstrip().startswith("|") and len(re.sub(r"\]\([^)]*\)", "]", line)) > 100:
