@@ -101,9 +101,10 @@ class ReferenceBackend(OnArrays):
 
     def frame(self, inputs: FrameInputs) -> tuple[Image, Mask]:
         """See ``Backend``."""
+        weights = self._weights
         if self._residual:
-            return frame(inputs, self._weights, self._gather)
-        prepared = prepare(inputs, self._gather)
+            return frame(inputs, weights, self._gather)
+        prepared = prepare(inputs, self._gather, test=weights.hole_test, hole_fill=weights.hole_fill)
         return upsample_centres(prepared.color[..., :3]), prepared.mask.astype(bool)
 
 

@@ -1,16 +1,20 @@
-"""Backends: threads that share one take turns, and a slow start is told."""
+"""Backends: threads that share one take turns, a slow start is told, and the reference follows its weights."""
 
 import time
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 import stss
-from stss.frames.backends import OpenCLBackend
+from stss.frames.backends import OpenCLBackend, ReferenceBackend
 from stss.frames.compute_options import ComputeOptions
 from stss_ground.errors import DeviceError
+from stss_ref.frame import frame
 from stss_ref.weights import zeros
+from tests.cl.films import frame_inputs, uneven
 
 
 def test_a_first_start_is_told(monkeypatch, caplog):
@@ -55,3 +59,11 @@ def test_threads_that_share_a_backend_take_turns(monkeypatch):
         threads.submit(backend.expect, "size")
         assert list(threads.map(lambda n: backend.compute([n], (0, 0, 0)), range(9))) == [[n] for n in range(9)]
     assert max(most) == 1
+
+
+@pytest.mark.parametrize("choice", [{"hole_test": "paper"}, {"hole_fill": "reshade"}], ids=str)
+def test_weights_that_add_nothing_choose_holes_and_their_fill_all_the_same(choice):
+    """The reference leaves their network out, and nothing else."""
+    inputs, weights = frame_inputs((16, 24), **uneven((16, 24))), replace(zeros(), **choice)
+    for got, want in zip(ReferenceBackend(weights).frame(inputs), frame(inputs, weights), strict=True):
+        np.testing.assert_array_equal(got, want)
