@@ -81,7 +81,7 @@ OF_MODELS = ("shapes", "files")
 @click.option(
     "--weights-version",
     type=int,
-    help="Latest version of weights that the port knows: 1, 3, 4 or 5  [default: the port's own statement, else 5]",
+    help="Latest version of weights files that the port knows  [default: the port's own statement, else the latest of all]",
 )
 @click.option(
     "--timeout", type=Number(0, MAX_SECONDS, min_open=True), default=120, show_default=True, help="Seconds for one start."

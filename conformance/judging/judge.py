@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,7 @@ from conformance.judging.questions import BATCH, Answer, Dialogue, Question, Tal
 from conformance.protocol.port import Abilities, Arrays, Case, Outputs, Port, PortError, abilities_of
 from conformance.protocol.stages import STAGES, check_inputs, check_outputs, network_inputs, reference
 from conformance.protocol.weights_file import shuffle
+from conformance.protocol.weights_format import restrict
 from stss_ref.arrays import ArrayError
 from stss_ref.weights import Weights
 
@@ -265,13 +266,7 @@ class Judge:
         if id(weights) not in self._weights:
             if len(self._weights) == MOST_WEIGHTS:
                 self._weights.clear()
-            converted = weights.convert(self.arithmetic.normal)
-            if self.weights_version < 5:
-                converted = replace(converted, hole_fill="occlusion_warp")
-            if self.weights_version < 4:
-                converted = replace(converted, second_color="newest")
-            if self.weights_version < 3:
-                converted = replace(converted, hole_test="footprint")
+            converted = restrict(weights.convert(self.arithmetic.normal), self.weights_version)
             self._weights[id(weights)] = weights, shuffle(converted)
         return self._weights[id(weights)][1]
 

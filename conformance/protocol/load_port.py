@@ -15,7 +15,7 @@ from typing import Any
 from conformance.protocol.port import Abilities, Port, PortError, abilities_of, foreign_code
 from conformance.protocol.program_port import FolderPort
 from conformance.protocol.stages import STAGES
-from conformance.protocol.weights_format import VERSIONS
+from conformance.protocol.weights_format import ONE_OF_VERSIONS, VERSIONS
 from stss_ground.errors import InputError, UserError
 
 ARITHMETICS = ("float32", "float16", "bfloat16")
@@ -64,8 +64,9 @@ def load_port(
         # NumPy's own dtype equals its name, and is no key of the tables of bounds.
         if not isinstance(arithmetic, str) or arithmetic not in ARITHMETICS:
             raise InputError(f"{origin}: dtype: expected the text float32, float16 or bfloat16, got {arithmetic!r}")
-        if str(abilities.weights_version) not in VERSIONS:
-            raise InputError(f"{origin}: weights_version: expected 1, 3, 4 or 5, got {abilities.weights_version!r}")
+        version: Any = abilities.weights_version
+        if not isinstance(version, int) or version not in VERSIONS:
+            raise InputError(f"{origin}: weights_version: expected {ONE_OF_VERSIONS}, got {version!r}")
         unknown = stages_there - set(STAGES)
     except PortError as error:
         raise InputError(str(error) if spec is None else f"{spec}: {error}") from error

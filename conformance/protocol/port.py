@@ -123,7 +123,7 @@ class Abilities:
 
     dtype: str = "float32"
     winograd: bool = False
-    weights_version: int = int(VERSIONS[-1])
+    weights_version: int = max(VERSIONS)
     run_many: Callable[[Sequence[Case]], Sequence[Outputs | Unsupported]] | None = None
     restart: Callable[[], None] | None = None
     layers: Callable[[str, Arrays, Weights | None], Outputs] | None = None

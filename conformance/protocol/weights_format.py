@@ -3,27 +3,39 @@
 
 from __future__ import annotations
 
-from typing import TypeVar
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
 
-from stss_ref.constants import HOLE_FILLS, HOLE_TESTS, HoleTest
-from stss_ref.weights import SECOND_COLORS, SecondColor, Weights, WeightsError
+from stss_ref.constants import HOLE_FILLS, HOLE_TESTS
+from stss_ref.weights import SECOND_COLORS, Weights, WeightsError
 
-VERSION_KEY, SECOND_COLOR_KEY, HOLE_TEST_KEY, HOLE_FILL_KEY = "stss_weights_version", "second_color", "hole_test", "hole_fill"
-NEWEST_ALONE, WITH_HOLE_TEST, WITH_DETAIL, WITH_RESHADE = "1", "3", "4", "5"
-"""Versions of a weights file: with the newest frame as the second colour and the footprint's hole test; with the hole test that the
-metadata name; with detail as the second colour; and with holes that are reshaded. A program that knows only earlier versions refuses
-this file. Version 2 had a second colour that no longer exists (decision 37)."""
-VERSIONS = (NEWEST_ALONE, WITH_HOLE_TEST, WITH_DETAIL, WITH_RESHADE)
+VERSION_KEY = "stss_weights_version"
+CHOICES: dict[str, tuple[str, ...]] = {"second_color": SECOND_COLORS, "hole_test": HOLE_TESTS, "hole_fill": HOLE_FILLS}
+"""Fields of ``Weights`` besides the tensors, with their values; the first is that of a file without such an entry."""
+VERSIONS: Mapping[int, Mapping[str, tuple[str, ...]]] = {
+    1: {},
+    3: {"second_color": SECOND_COLORS[:1], "hole_test": HOLE_TESTS},
+    4: {"second_color": SECOND_COLORS, "hole_test": HOLE_TESTS},
+    5: CHOICES,
+}
+"""Versions of a file, with their entries: a program that knows only earlier versions refuses it. Version 2 had a second colour that no
+longer exists (decision 37)."""
+ONE_OF_VERSIONS = " or ".join(", ".join(map(str, VERSIONS)).rsplit(", ", 1))
+"""For messages."""
 
 
 def format_metadata(weights: Weights) -> dict[str, str]:
-    """The entries that the metadata of a weights file must have (spec 10)."""
-    settings = {SECOND_COLOR_KEY: weights.second_color, HOLE_TEST_KEY: weights.hole_test}
-    if weights.hole_fill == "reshade":
-        return {VERSION_KEY: WITH_RESHADE, **settings, HOLE_FILL_KEY: weights.hole_fill}
-    if (weights.second_color, weights.hole_test) == ("newest", "footprint"):
-        return {VERSION_KEY: NEWEST_ALONE}
-    return {VERSION_KEY: WITH_HOLE_TEST if weights.second_color == "newest" else WITH_DETAIL, **settings}
+    """The entries that the metadata of a weights file must have (spec 10), of the earliest version that has its choices."""
+    version = next(version for version in VERSIONS if restrict(weights, version) is weights)
+    return {VERSION_KEY: str(version), **{name: getattr(weights, name) for name in VERSIONS[version]}}
+
+
+def restrict(weights: Weights, version: int) -> Weights:
+    """The same weights with the first value of each choice that files of this version cannot have."""
+    known = {name: VERSIONS[version].get(name, values[:1]) for name, values in CHOICES.items()}
+    lost: dict[str, Any] = {name: values[0] for name, values in known.items() if getattr(weights, name) not in values}
+    return replace(weights, **lost) if lost else weights
 
 
 def take_format(metadata: dict[str, str]) -> Weights:
@@ -35,30 +47,20 @@ def take_format(metadata: dict[str, str]) -> Weights:
     Raises:
         WeightsError: the entries are not those of a known version.
     """
-    version = metadata.pop(VERSION_KEY, None)
-    if version not in VERSIONS:
-        got = "no such entry" if version is None else repr(str(version)[:20])
-        raise WeightsError(f"expected {VERSION_KEY} 1, 3, 4 or 5 in the metadata, found {got}")
-    later = {NEWEST_ALONE: (SECOND_COLOR_KEY, HOLE_TEST_KEY, HOLE_FILL_KEY), WITH_RESHADE: ()}.get(version, (HOLE_FILL_KEY,))
-    for key in later:
-        if key in metadata:
-            raise WeightsError(f"{key}: expected no such entry in the metadata of {VERSION_KEY} {version}")
-    if version == NEWEST_ALONE:
-        return Weights({})
-    seconds = SECOND_COLORS[:1] if version == WITH_HOLE_TEST else SECOND_COLORS
-    second: SecondColor = _take_name(metadata, SECOND_COLOR_KEY, seconds)
-    test: HoleTest = _take_name(metadata, HOLE_TEST_KEY, HOLE_TESTS)
-    return Weights(
-        {}, second, test, _take_name(metadata, HOLE_FILL_KEY, HOLE_FILLS) if version == WITH_RESHADE else HOLE_FILLS[0]
-    )
+    text = metadata.pop(VERSION_KEY, None)
+    version = next((version for version in VERSIONS if text == str(version)), None)
+    if version is None:
+        got = "no such entry" if text is None else repr(str(text)[:20])
+        raise WeightsError(f"expected {VERSION_KEY} {ONE_OF_VERSIONS} in the metadata, found {got}")
+    for name in CHOICES:
+        if name in metadata and name not in VERSIONS[version]:
+            raise WeightsError(f"{name}: expected no such entry in the metadata of {VERSION_KEY} {version}")
+    choices: dict[str, Any] = {name: _take_choice(metadata, name, values) for name, values in VERSIONS[version].items()}
+    return Weights({}, **choices)
 
 
-Name = TypeVar("Name", bound=str)
-
-
-def _take_name(metadata: dict[str, str], key: str, names: tuple[Name, ...]) -> Name:
-    value = metadata.pop(key, "")
-    for name in names:
-        if value == name:
-            return name
-    raise WeightsError(f"{key}: expected one of {', '.join(names)} in the metadata, found {str(value)[:20]!r}")
+def _take_choice(metadata: dict[str, str], name: str, values: tuple[str, ...]) -> str:
+    value = metadata.pop(name, "")
+    if value not in values:
+        raise WeightsError(f"{name}: expected one of {', '.join(values)} in the metadata, found {str(value)[:20]!r}")
+    return value

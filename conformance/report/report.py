@@ -165,7 +165,7 @@ def _left_to_full(judge: Judge, stages: Sequence[str]) -> list[str]:
 def _list_refused(judge: Judge) -> list[str]:
     """The inputs that the port does not take, in words."""
     version = judge.weights_version
-    old = [f"weights up to version {version} only, as the port declares"] if str(version) != VERSIONS[-1] else []
+    old = [f"weights up to version {version} only, as the port declares"] if version != max(VERSIONS) else []
     narrow = [f"no array of more than {judge.largest_side} rows or columns, as the port declares"] if judge.largest_side else []
     return old + narrow
 

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Read and write weights as files in the project's own format, and identify weights.
 
-The format is safetensors with the authors' 92 names (spec 10) and the metadata entry ``stss_weights_version``; in later versions also
-``second_color``, see `stss_ref.weights.SecondColor`, and ``hole_test``, in version 5 ``hole_fill``, see `stss_ref.constants`.
+The format is safetensors with the authors' 92 names (spec 10) and the metadata of `conformance.protocol.weights_format`.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from typing import Any, cast
 import numpy as np
 from safetensors import SafetensorError, safe_open
 
-from conformance.protocol.weights_format import HOLE_FILL_KEY, HOLE_TEST_KEY, SECOND_COLOR_KEY, format_metadata, take_format
+from conformance.protocol.weights_format import CHOICES, format_metadata, take_format
 from stss_ground.arguments import path_of, suggest
 from stss_ground.errors import InputError
 from stss_ground.output.write_whole import write_named
@@ -66,12 +65,9 @@ class LoadedWeights:
 def identity(weights: Weights) -> str:
     """SHA-256 of names, shapes and numbers, and of settings other than the defaults: equal for equal weights in any file."""
     digest = hashlib.sha256()
-    if weights.hole_fill != "occlusion_warp":
-        digest.update(f"{HOLE_FILL_KEY} {weights.hole_fill}\n".encode())
-    if weights.hole_test != "footprint":
-        digest.update(f"{HOLE_TEST_KEY} {weights.hole_test}\n".encode())
-    if weights.second_color != "newest":
-        digest.update(f"{SECOND_COLOR_KEY} {weights.second_color}\n".encode())
+    for name in reversed(CHOICES):
+        if (choice := getattr(weights, name)) != CHOICES[name][0]:
+            digest.update(f"{name} {choice}\n".encode())
     for name in sorted(weights):
         digest.update(f"{name} {weights[name].shape}\n".encode())
         digest.update(weights[name].astype("<f4").tobytes())

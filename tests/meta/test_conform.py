@@ -70,6 +70,7 @@ class Shape(Port):
 
 class Nothing: pass
 class Second(Port): weights_version = 2
+class Text(Port): weights_version = "3"
 class NumPyDtype(Port): dtype = np.dtype("float32")
 class Unknown(Port):
     def stages(self):
@@ -293,6 +294,7 @@ def test_a_port_that_does_not_load_is_one_line(tmp_path, monkeypatch, source, wo
         (["--port", "wrong_port:NumPyDtype"], "dtype: expected the text float32, float16 or bfloat16, got dtype('float32')"),
         (["--port", "wrong_port:Unknown"], "stages: not in the table: wrap"),
         (["--port", "wrong_port:Second"], "wrong_port:Second: weights_version: expected 1, 3, 4 or 5, got 2"),
+        (["--port", "wrong_port:Text"], "wrong_port:Text: weights_version: expected 1, 3, 4 or 5, got '3'"),
         (["--port", "wrong_port:Port", "--weights-version", "2"], "weights_version: expected 1, 3, 4 or 5, got 2"),
         (["--exec", "./no_such_program"], "./no_such_program: cannot be started"),
         (["--exec", "'"], "--exec: No closing quotation"),
