@@ -71,9 +71,14 @@ def frame(inputs: FrameInputs, weights: Weights, gather: Gather = "longest") -> 
     Raises:
         ArrayError: shapes or dtypes differ, or an array that must be finite is not.
     """
-    prepared = prepare(inputs, gather, weights.second_color, weights.hole_test, weights.hole_fill)
+    prepared = prepare_for(weights, inputs, gather)
     image = network(prepared.color, prepared.gbuffer, prepared.mask, prepared.history, weights)
     return image, prepared.mask.astype(bool)
+
+
+def prepare_for(weights: Weights, inputs: FrameInputs, gather: Gather = "longest") -> NetworkInputs:
+    """The inputs of the network with these weights: ``prepare`` with their choices."""
+    return prepare(inputs, gather, weights.second_color, weights.hole_test, weights.hole_fill)
 
 
 def prepare(

@@ -30,7 +30,7 @@ from stss_ref.constants import HoleTest
 from stss_ref.decoder import decoder
 from stss_ref.encoder import encoder
 from stss_ref.erm import erm
-from stss_ref.frame import FrameInputs, frame, prepare
+from stss_ref.frame import FrameInputs, frame, prepare_for
 from stss_ref.history import history_embedding
 from stss_ref.holes import holes
 from stss_ref.motion_chain import motion_chain
@@ -106,7 +106,7 @@ def _frame_inputs(a: Arrays) -> FrameInputs:
 
 def network_inputs(a: Arrays, weights: Weights) -> Outputs:
     """The inputs of stage ``network`` that stage ``frame`` makes from its own."""
-    prepared = prepare(_frame_inputs(a), second=weights.second_color, test=weights.hole_test, hole_fill=weights.hole_fill)
+    prepared = prepare_for(weights, _frame_inputs(a))
     return {"color": prepared.color, "gbuffer": prepared.gbuffer, "mask": prepared.mask, "history": prepared.history}
 
 

@@ -31,7 +31,7 @@ from stss_cl.image_space.stages import ImageStages
 from stss_cl.skip.arrival import Arrival
 from stss_cl.skip.stream import Stream
 from stss_ref.accumulate import accumulate
-from stss_ref.frame import FrameInputs, prepare
+from stss_ref.frame import FrameInputs, prepare_for
 from stss_ref.network import network as reference_network
 from stss_ref.occlusion_warp import occlusion_warp
 from stss_ref.resample import upsample_centres
@@ -164,7 +164,7 @@ def frames(device: Device, generator: np.random.Generator, trial: str = REALTIME
         steps = kind, min(number, kind + 2), min(number, kind + 4)
         image, valid = stream(window, steps)
         if number >= 6:
-            inputs = prepare(_inputs(window, steps), "longest", weights.second_color, weights.hole_test, weights.hole_fill)
+            inputs = prepare_for(weights, _inputs(window, steps))
             _exact("mask", valid, inputs.mask.astype(bool))
             arrays = inputs.color, inputs.gbuffer, inputs.mask, inputs.history
             _within("frames", image, reference_network(*(array.astype(np.float64) for array in arrays), weights=weights))

@@ -21,7 +21,7 @@ from stss_ground.errors import InputError
 from stss_ground.terminal import log
 from stss_ref.arrays import Image, Mask
 from stss_ref.constants import Gather
-from stss_ref.frame import FrameInputs, frame, prepare
+from stss_ref.frame import FrameInputs, frame, prepare_for
 from stss_ref.resample import upsample_centres
 from stss_ref.weights import Weights, check
 
@@ -101,10 +101,9 @@ class ReferenceBackend(OnArrays):
 
     def frame(self, inputs: FrameInputs) -> tuple[Image, Mask]:
         """See ``Backend``."""
-        weights = self._weights
         if self._residual:
-            return frame(inputs, weights, self._gather)
-        prepared = prepare(inputs, self._gather, test=weights.hole_test, hole_fill=weights.hole_fill)
+            return frame(inputs, self._weights, self._gather)
+        prepared = prepare_for(self._weights, inputs, self._gather)
         return upsample_centres(prepared.color[..., :3]), prepared.mask.astype(bool)
 
 

@@ -26,7 +26,7 @@ from stss_ref.arrays import Array, Image, Mask
 from stss_ref.decoder import decoder
 from stss_ref.encoder import encoder
 from stss_ref.erm import erm
-from stss_ref.frame import FrameInputs, NetworkInputs, prepare
+from stss_ref.frame import FrameInputs, NetworkInputs, prepare_for
 from stss_ref.history import history_embedding
 from stss_ref.resample import pad_to_8
 from stss_ref.weights import Weights
@@ -71,11 +71,10 @@ class WithoutPart(OnArrays):
 
     def frame(self, inputs: FrameInputs) -> tuple[Image, Mask]:
         """See `stss.frames.backends.Backend`; holes are those of the whole."""
-        weights = self._weights
-        prepared = prepare(inputs, "longest", weights.second_color, weights.hole_test, weights.hole_fill)
+        prepared = prepare_for(self._weights, inputs)
         change = CHANGES.get(self._part or "")
         changed = prepared if change is None else change(prepared)
-        image = network(changed, weights, mean_erm=self._part == ERM)
+        image = network(changed, self._weights, mean_erm=self._part == ERM)
         return image, prepared.mask.astype(bool)
 
 
