@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from conformance.scenes import render
 from stss.cli.options import MAX_COUNT, sequence_options
 from stss.frames.buffers import Buffers
-from stss.frames.display_frame import WINDOW, DisplayFrame, frame_inputs, plan, prepare, window_at
+from stss.frames.display_frame import WINDOW, DisplayFrame, frame_inputs, make_display_frame, plan, window_at
 from stss.images.color import transfer
 from stss.images.headers import MAX_SIDE
 from stss.quality.output_and_truth import find_images, read_shown, require_size
@@ -41,8 +41,7 @@ from stss_ground.option_kinds import ReadPath, Size, WrittenFolder
 from stss_ground.terminal import echo
 from stss_ref.arrays import Array, Image
 from stss_ref.constants import HOLE_FILLS, HoleFill
-from stss_ref.frame import FrameInputs, NetworkInputs
-from stss_ref.frame import prepare as warp_all
+from stss_ref.frame import FrameInputs, NetworkInputs, prepare
 from stss_ref.holes import holes
 from stss_ref.resample import upsample_centres
 from stss_ref.schedule import FrameKind
@@ -93,7 +92,7 @@ def samples(frames: Sequence[DisplayFrame], truths: Mapping[int, Image], hole_fi
             if schedule is not None and len(window) > 1:
                 frame_planes = frame_inputs(window, schedule.steps)
                 inputs = pack(
-                    warp_all(frame_planes, hole_fill=hole_fill), _motion(window[-2], last), details(frame_planes, hole_fill)
+                    prepare(frame_planes, hole_fill=hole_fill), _motion(window[-2], last), details(frame_planes, hole_fill)
                 )
                 yield Sample(last.number, kind, inputs, truths[last.number])
 
@@ -116,7 +115,7 @@ def _motion(before: DisplayFrame, now: DisplayFrame) -> Image:
 def details(inputs: FrameInputs, hole_fill: HoleFill) -> Image:
     """The second colour "detail" of R, G and B apart, (H, W, 9): across, down, level. Augmentation lets the colours change places."""
     channels = [np.repeat(inputs.colors[..., c : c + 1], 3, axis=-1) for c in range(3)]
-    planes = [warp_all(replace(inputs, colors=c), second="detail", hole_fill=hole_fill).color[..., 3:] for c in channels]
+    planes = [prepare(replace(inputs, colors=c), second="detail", hole_fill=hole_fill).color[..., 3:] for c in channels]
     return np.stack(planes, axis=-1).reshape(*inputs.nov.shape, 9)
 
 
@@ -165,7 +164,7 @@ def _planes(film: Film, size: tuple[int, int], number: int) -> dict[str, NDArray
 def film_samples(film: Film, size: tuple[int, int], hole_fill: HoleFill) -> Iterator[Sample]:
     """The samples of an analytic film."""
     curve, numbers = transfer("srgb"), (START, *HISTORIES)
-    frames = [prepare(buffers, curve, "scale") for buffers in film_frames(film, size, max(numbers) + 1)]
+    frames = [make_display_frame(buffers, curve, "scale") for buffers in film_frames(film, size, max(numbers) + 1)]
     doubled = 2 * size[0], 2 * size[1]
     truths = {n: curve.encode(render(film.at(n), n, *doubled, samples=SAMPLES).color) for n in numbers}
     return samples(frames, truths, hole_fill)
@@ -184,7 +183,7 @@ def sequence_samples(low: Path, high: Path, reading: SequenceOptions, hole_fill:
             )
         if window and number != window[-1].number + 1:
             window.clear()
-        window = [*window[1 - WINDOW :], prepare(sequence.load(number), curve, usual.depth)]
+        window = [*window[1 - WINDOW :], make_display_frame(sequence.load(number), curve, usual.depth)]
         if number in truths:
             truth = read_shown(truths[number], curve, reading.non_finite)
             require_size(truths[number], truth, low, (2 * sequence.size[0], 2 * sequence.size[1]))

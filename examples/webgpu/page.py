@@ -19,7 +19,7 @@ from gpu import Picture, code
 from numpy.typing import NDArray
 from port import Maker
 
-from stss.frames.display_frame import DisplayFrame, frame_inputs, plan, prepare, window_at
+from stss.frames.display_frame import DisplayFrame, frame_inputs, make_display_frame, plan, window_at
 from stss.frames.output import choose_rendered
 from stss.images.color import transfer
 from stss.sequence.choose_weights import choose_weights
@@ -84,7 +84,7 @@ def main() -> None:
         weights = choose_weights(options.weights, sequence, print).weights
         rendered = choose_rendered(sequence.numbers, sequence.rendered, None)
         numbers = sequence.numbers[: options.frames]
-        frames = [prepare(sequence.load(n, color=n in rendered), transfer("srgb"), "scale") for n in numbers]
+        frames = [make_display_frame(sequence.load(n, color=n in rendered), transfer("srgb"), "scale") for n in numbers]
         store = Store()
         frame_calls = [recorded(list(window_at(frames, i)), weights, store) for i in range(len(frames))]
         data = {

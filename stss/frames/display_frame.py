@@ -56,7 +56,7 @@ class DisplayFrame:
     carried: Mapping[str, Image] = field(default_factory=dict[str, Image])
 
 
-def prepare(buffers: Buffers, to_display: Transfer, depth: DepthMode, *, copy: bool = True) -> DisplayFrame:
+def make_display_frame(buffers: Buffers, to_display: Transfer, depth: DepthMode, *, copy: bool = True) -> DisplayFrame:
     """Make a display frame: colour through the transfer, depth normalised to [0, 1], G-buffer stacked.
 
     ``copy`` False: motion, NoV, stencil and position stay the caller's arrays where they are float32; the caller must not write to them

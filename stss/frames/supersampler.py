@@ -14,7 +14,7 @@ from stss.frames.backends import Backend, open_backend
 from stss.frames.buffers import Buffers
 from stss.frames.check_buffers import check_buffers
 from stss.frames.compute_options import ComputeOptions, Precision, Skip
-from stss.frames.display_frame import WINDOW, DisplayFrame, prepare
+from stss.frames.display_frame import WINDOW, DisplayFrame, make_display_frame
 from stss.frames.output import Output, compute
 from stss.images.color import transfer as transfer_named
 from stss.images.headers import MAX_SIDE
@@ -113,7 +113,7 @@ class Supersampler:
     def _push(self, buffers: Buffers) -> Output | None:
         if self._check:
             check_buffers(buffers)
-        frame = prepare(buffers, self._curve, self._depth, copy=self._copy)
+        frame = make_display_frame(buffers, self._curve, self._depth, copy=self._copy)
         last = self._window[-1] if self._window else None
         if last is not None and (buffers.cut or frame.number != last.number + 1 or frame.nov.shape != last.nov.shape):
             self.reset()

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stss.frames.display_frame import DisplayFrame, prepare
+from stss.frames.display_frame import DisplayFrame, make_display_frame
 from stss.images.color import transfer
 from stss.images.resample import enlarge
 from stss.sequence.reader import Sequence
@@ -59,7 +59,7 @@ class Follower:
 
     def _load(self, number: int) -> DisplayFrame:
         buffers = self._sequence.crop_to_display(self._sequence.load(number, color=False))
-        return prepare(buffers, transfer("none"), self._sequence.profile.depth_normalisation)
+        return make_display_frame(buffers, transfer("none"), self._sequence.profile.depth_normalisation)
 
 
 def display_motion(before: DisplayFrame, now: DisplayFrame) -> tuple[Image, Mask]:

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from collections.abc import Sequence as Numbers
 from pathlib import Path
 
-from stss.frames.display_frame import WINDOW, DisplayFrame, prepare
+from stss.frames.display_frame import WINDOW, DisplayFrame, make_display_frame
 from stss.frames.output import shot_start
 from stss.images.color import Transfer
 from stss.images.headers import Value
@@ -54,7 +54,7 @@ class Window:
             try:
                 options = self._options
                 buffers = self._sequence.load(number, color=number in self._rendered, also=options.also)
-                self._frames[number] = prepare(buffers, self._curve, options.depth, copy=False)
+                self._frames[number] = make_display_frame(buffers, self._curve, options.depth, copy=False)
             except InputError as error:
                 self._frames[number] = error
         return self._frames[number]

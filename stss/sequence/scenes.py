@@ -10,7 +10,7 @@ import numpy as np
 
 from conformance.scenes import SCENES, Scene, render
 from stss.frames.buffers import Buffers
-from stss.frames.display_frame import DisplayFrame, prepare
+from stss.frames.display_frame import DisplayFrame, make_display_frame
 from stss.images.color import transfer
 from stss.sequence.conventions import BACKGROUND_POSITION
 from stss_ground.errors import InputError
@@ -44,7 +44,7 @@ def display_frames(scene: Scene, size: tuple[int, int], count: int) -> Iterator[
         planes["position"] = np.where(background, np.float32(BACKGROUND_POSITION), planes["position"])
         color = planes.pop("color") if number % 2 == 0 else None
         planes.pop("color", None)
-        yield prepare(Buffers(number=number, color=color, **planes), curve, "scale")
+        yield make_display_frame(Buffers(number=number, color=color, **planes), curve, "scale")
 
 
 def truth(scene: Scene, size: tuple[int, int], number: int) -> Image:

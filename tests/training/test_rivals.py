@@ -102,7 +102,7 @@ def test_every_chain_writes_frames_and_scores(tmp_path, monkeypatch):
 
     curve, files = transfer("srgb"), open_sequence(tmp_path / "frames")
     frames = [curve.encode(np.full((16, 24, 3), value, np.float32)) for value in (0.1, 0.2, 0.6)]
-    window = [display_frame.prepare(files.load(number), curve, "scale") for number in range(2)]
+    window = [display_frame.make_display_frame(files.load(number), curve, "scale") for number in range(2)]
     every = run.RenderedFrames(run.EVERY, dict(enumerate(frames)).get, curve)
     np.testing.assert_array_equal(every.compute(window, (1, 1, 1))[0], upsample_centres(frames[1]))
     with pytest.raises(InputError, match="every: frame 1 was not rendered"):
@@ -131,7 +131,7 @@ def test_the_authors_network_reads_light_and_the_sky_keeps_its_colour(tmp_path):
     write_demo_sequence(tmp_path, 6, (16, 24))
     files = open_sequence(tmp_path / "frames")
     curve = transfer("srgb")
-    window = [display_frame.prepare(files.load(number), curve, "scale") for number in range(6)]
+    window = [display_frame.make_display_frame(files.load(number), curve, "scale") for number in range(6)]
     plain = prepare(display_frame.frame_inputs(window, (1, 3, 5))).color
     calls = {}
 
@@ -156,7 +156,7 @@ def test_an_upsampler_sees_motion_without_jitter(tmp_path):
     files = open_sequence(tmp_path / "frames")
     offsets, frames_seen = {0: (0.25, -0.5), 1: (-0.25, 0.5), 2: (0.0, 0.0)}, []
     curve = transfer("srgb")
-    frames = [display_frame.prepare(files.load(number), curve, "scale") for number in range(3)]
+    frames = [display_frame.make_display_frame(files.load(number), curve, "scale") for number in range(3)]
     shift = [np.subtract(offsets[max(n - 1, 0)], offsets[n]).astype(np.float32) for n in range(3)]
     moved = [np.broadcast_to(s, frames[0].motion.shape) for s in shift]
     frames = [replace(f, motion=m, color=frames[0].color) for f, m in zip(frames, moved, strict=True)]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from conformance.scenes import SCENES
-from stss.frames.display_frame import OnArrays, prepare
+from stss.frames.display_frame import OnArrays, make_display_frame
 from stss.frames.supersampler import Supersampler
 from stss.images.read_write import write_channels, write_rgb
 from stss_ground.errors import InputError
@@ -42,7 +42,7 @@ class Bilinear(OnArrays):
         self.fill = fill
 
     def frame(self, inputs):
-        prepared = module.warp_all(inputs, hole_fill=self.fill)
+        prepared = module.prepare(inputs, hole_fill=self.fill)
         return upsample_centres(prepared.color[..., :3]), prepared.mask.astype(bool)
 
 
@@ -51,7 +51,7 @@ def test_samples_are_what_the_tool_feeds_the_network(film, fill):
     """Frame by frame the colours are those that `Supersampler` upsamples in a run at half rate."""
     curve = module.transfer("srgb")
     buffers = [module.replace(b, color=np.minimum(b.color, 1)) for b in film_frames(film, SIZE, 8)]
-    frames = [prepare(b, curve, "scale") for b in buffers]
+    frames = [make_display_frame(b, curve, "scale") for b in buffers]
     parts = list(samples(frames, {n: np.zeros((48, 64, 3), np.float32) for n in (6, 7)}, fill))
     assert [(s.number, s.kind.value) for s in parts] == [(6, "SF"), (6, "EF"), (7, "SF"), (7, "EF")]
     for odd in (0, 1):
@@ -67,7 +67,7 @@ def test_samples_are_what_the_tool_feeds_the_network(film, fill):
     planes_in = module.frame_inputs([module.replace(f, color=None) if f.number % 2 else f for f in window], (1, 3, 5))
     details = np.stack([parts[3].inputs[..., part] @ LUMA for part in (ACROSS, DOWN, LEVEL)], axis=-1)
     np.testing.assert_allclose(
-        details, module.warp_all(planes_in, second="detail", hole_fill=fill).color[..., 3:], rtol=0, atol=1e-6
+        details, module.prepare(planes_in, second="detail", hole_fill=fill).color[..., 3:], rtol=0, atol=1e-6
     )
     assert np.abs(details).max() > 0.01
 

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stss.frames.display_frame import DisplayFrame, prepare
+from stss.frames.display_frame import DisplayFrame, make_display_frame
 from stss.images.color import transfer
 from stss_ground.errors import InputError
 from stss_ref.arrays import Image
@@ -53,7 +53,9 @@ def extend(shard: Path, out: Path) -> None:
     inputs, truth = (np.load(shard / f"{name}.npy", mmap_mode="r") for name in ("inputs", "truth"))
     _, seed, kind = shard.name.split("-")
     film, numbers, kinds = random_film(int(seed), kind), index["frames"], index["kinds"]
-    display_frames = (prepare(b, transfer("srgb"), "scale") for b in film_frames(film, inputs.shape[1:3], max(numbers) + 1))
+    display_frames = (
+        make_display_frame(b, transfer("srgb"), "scale") for b in film_frames(film, inputs.shape[1:3], max(numbers) + 1)
+    )
     frames = {frame.number: frame for frame in display_frames}
     colors = {n: frame.color for n, frame in frames.items() if frame.color is not None}
     samples: list[Sample] = []

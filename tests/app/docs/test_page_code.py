@@ -20,7 +20,7 @@ import pytest
 import stss
 from conformance.scenes import DEMO, render
 from stss.frames.accumulation import Accumulation, accumulate_arrays
-from stss.frames.display_frame import prepare
+from stss.frames.display_frame import make_display_frame
 from stss.images.color import transfer
 from stss.images.headers import MAX_BYTES, MAX_CHANNELS, MAX_SIDE
 from stss.sequence.conventions import linear_depth, motion_in_pixels, world_normal
@@ -324,7 +324,7 @@ def test_code_in_running_text(demo, tmp_path, monkeypatch):
 
 
 def test_memory_that_a_loop_keeps():
-    one = prepare(buffers(0), transfer("srgb"), "scale")
+    one = make_display_frame(buffers(0), transfer("srgb"), "scale")
     size = sum(getattr(one, field.name).nbytes for field in fields(one) if field.name not in ("number", "carried"))
     assert f"{size // (SIZE[0] * SIZE[1])} bytes a pixel are kept for each of six frames" in " ".join(page("api.md").split())
 

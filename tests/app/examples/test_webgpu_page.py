@@ -11,7 +11,7 @@ from conformance.tolerance import BOUNDS
 from stss.demo import write_demo_sequence
 from stss.frames.backends import open_backend
 from stss.frames.compute_options import ComputeOptions
-from stss.frames.display_frame import prepare, window_at
+from stss.frames.display_frame import make_display_frame, window_at
 from stss.frames.output import compute
 from stss.images.color import transfer
 from stss.sequence.reader import open_sequence
@@ -41,7 +41,7 @@ def test_the_page_makes_the_references_picture(ask, tmp_path):
     if "no WebGPU" in state:
         pytest.skip(state)
     sequence = open_sequence(tmp_path / "frames")
-    frames = [prepare(sequence.load(n), transfer("srgb"), "scale") for n in sequence.numbers]
+    frames = [make_display_frame(sequence.load(n), transfer("srgb"), "scale") for n in sequence.numbers]
     backend = open_backend("ref", load("antialiased").weights, ComputeOptions())
     want = compute(window_at(frames, 1), backend, transfer("none"))
     assert np.abs(np.reshape(image, want.image.shape) - want.image).max() <= BOUNDS["network.float32"].floor, state

@@ -11,7 +11,7 @@ import pytest
 import stss
 from stss.frames import display_frame
 from stss.frames.carried_planes import HIGHLIGHTS, highlights
-from stss.frames.display_frame import prepare
+from stss.frames.display_frame import make_display_frame
 from stss.images import color as colors
 from stss.images.color import transfer
 from stss_ground import cores
@@ -91,7 +91,7 @@ def test_a_display_frame_has_the_bits_of_the_plain_formula(kind, layout):
             plain = {name: np.array(plane) for name, plane in vars(buffers).items() if isinstance(plane, np.ndarray)}
             color = plain["color"]
             with np.errstate(all="ignore"):
-                frame = prepare(buffers, transfer(name), "scale")
+                frame = make_display_frame(buffers, transfer(name), "scale")
                 same_bits(frame.color, displayed(color, name))
                 depth, unit = normalise_depth(plain["depth"], "scale"), (plain["roughness"], plain["metallic"])
                 channels = [*np.moveaxis(plain["normal"], -1, 0), depth, *unit, *np.moveaxis(plain["base_color"], -1, 0)]
@@ -114,9 +114,9 @@ def test_one_bright_pixel_is_a_highlight():
         buffers.color[row, 3, 1] = 4
         expected = np.zeros_like(buffers.color)
         expected[row, 3, 1] = 3
-        np.testing.assert_array_equal(prepare(buffers, transfer("srgb"), "scale").carried[HIGHLIGHTS], expected)
-        assert HIGHLIGHTS not in prepare(buffers, transfer("none"), "scale").carried
-        assert not prepare(replace(buffers, color=None), transfer("srgb"), "scale").carried
+        np.testing.assert_array_equal(make_display_frame(buffers, transfer("srgb"), "scale").carried[HIGHLIGHTS], expected)
+        assert HIGHLIGHTS not in make_display_frame(buffers, transfer("none"), "scale").carried
+        assert not make_display_frame(replace(buffers, color=None), transfer("srgb"), "scale").carried
 
 
 @pytest.mark.parametrize("copy", [True, False])
@@ -124,7 +124,7 @@ def test_planes_are_shared_only_without_copies(copy):
     """And only those that are float32 and contiguous already."""
     buffers = buffers_of((16, 24))
     buffers = replace(buffers, nov=buffers.nov.astype(np.float64), stencil=np.asfortranarray(buffers.stencil))
-    frame = prepare(buffers, transfer("srgb"), "scale", copy=copy)
+    frame = make_display_frame(buffers, transfer("srgb"), "scale", copy=copy)
     given = [plane for plane in (*vars(buffers).values(), *buffers.carried.values()) if isinstance(plane, np.ndarray)]
     made = {name: plane for name, plane in (*vars(frame).items(), *frame.carried.items()) if isinstance(plane, np.ndarray)}
     shared = {name for name, plane in made.items() if any(np.shares_memory(plane, other) for other in given)}
@@ -140,7 +140,7 @@ def test_a_plane_that_was_not_checked_is_neither_cut_nor_repeated(name):
     plane = getattr(buffers, name)
     for wrong in (plane[:1], plane[:, :1], np.concatenate([plane, plane]), plane[..., :1, None]):
         with pytest.raises(ArrayError, match=f"{name}: expected shape"):
-            prepare(replace(buffers, **{name: wrong}), transfer("srgb"), "scale", copy=False)
+            make_display_frame(replace(buffers, **{name: wrong}), transfer("srgb"), "scale", copy=False)
 
 
 SLACK = 2.0**-8
