@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from conformance.scenes import render
 from stss.cli.options import MAX_COUNT, sequence_options
 from stss.frames.buffers import Buffers
-from stss.frames.display_frame import WINDOW, DisplayFrame, frame_inputs, make_display_frame, plan, window_at
+from stss.frames.display_frame import WINDOW, DisplayFrame, frame_inputs, make_display_frame, plan, same_surface, window_at
 from stss.images.color import transfer
 from stss.images.headers import MAX_SIDE
 from stss.quality.output_and_truth import find_images, read_shown, require_size
@@ -42,7 +42,6 @@ from stss_ground.terminal import echo
 from stss_ref.arrays import Array, Image
 from stss_ref.constants import HOLE_FILLS, HoleFill
 from stss_ref.frame import FrameInputs, NetworkInputs, prepare
-from stss_ref.holes import holes
 from stss_ref.resample import upsample_centres
 from stss_ref.schedule import FrameKind
 from training.command import command
@@ -98,18 +97,7 @@ def samples(frames: Sequence[DisplayFrame], truths: Mapping[int, Image], hole_fi
 
 
 def _motion(before: DisplayFrame, now: DisplayFrame) -> Image:
-    followed = holes(
-        now.motion,
-        stencil_previous=before.stencil,
-        stencil=now.stencil,
-        normal_previous=before.gbuffer[..., :3],
-        normal=now.gbuffer[..., :3],
-        position_previous=before.position,
-        position=now.position,
-        nov=now.nov,
-        depth=now.gbuffer[..., 3],
-    )
-    return np.where(followed[..., None], now.motion, np.float32(NOWHERE))
+    return np.where(same_surface(before, now)[..., None], now.motion, np.float32(NOWHERE))
 
 
 def details(inputs: FrameInputs, hole_fill: HoleFill) -> Image:

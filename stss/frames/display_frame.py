@@ -17,6 +17,7 @@ from stss_ground.cores import for_blocks
 from stss_ref.arrays import Array, Image, Mask, Plane, require_shape
 from stss_ref.depth import DepthMode, normalise_depth
 from stss_ref.frame import FrameInputs
+from stss_ref.holes import holes
 from stss_ref.schedule import Schedule, schedule
 
 BackendImage = Any
@@ -106,6 +107,21 @@ def make_display_frame(buffers: Buffers, to_display: Transfer, depth: DepthMode,
         stencil=stencil,
         position=position,
         carried=carried,
+    )
+
+
+def same_surface(before: DisplayFrame, now: DisplayFrame) -> Mask:
+    """(H, W) True where the motion of ``now`` leads to the same surface in the frame ``before`` it (stage ``holes``)."""
+    return holes(
+        now.motion,
+        stencil_previous=before.stencil,
+        stencil=now.stencil,
+        normal_previous=before.gbuffer[..., :3],
+        normal=now.gbuffer[..., :3],
+        position_previous=before.position,
+        position=now.position,
+        nov=now.nov,
+        depth=now.gbuffer[..., 3],
     )
 
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from stss.frames.display_frame import DisplayFrame, make_display_frame
+from stss.frames.display_frame import DisplayFrame, make_display_frame, same_surface
 from stss.images.color import transfer
 from stss.images.resample import enlarge
 from stss.sequence.reader import Sequence
 from stss_ref.arrays import Image, Mask
-from stss_ref.holes import holes
 from stss_ref.sample import follow, leads_inside
 from stss_ref.warp import warp
 
@@ -73,16 +72,5 @@ def display_motion(before: DisplayFrame, now: DisplayFrame) -> tuple[Image, Mask
         motion: (2H, 2W, 2) display pixels, now -> before.
         followed: (2H, 2W) True where it leads to the same surface within the frame.
     """
-    valid = holes(
-        now.motion,
-        stencil_previous=before.stencil,
-        stencil=now.stencil,
-        normal_previous=before.gbuffer[..., :3],
-        normal=now.gbuffer[..., :3],
-        position_previous=before.position,
-        position=now.position,
-        nov=now.nov,
-        depth=now.gbuffer[..., 3],
-    )
     motion = enlarge(2 * now.motion)
-    return motion, enlarge(valid) & leads_inside(follow(motion))
+    return motion, enlarge(same_surface(before, now)) & leads_inside(follow(motion))
