@@ -24,7 +24,7 @@ from stss.cluster.run import run_on_cluster
 from stss.frames.backends import open_backend
 from stss.frames.compute_options import ComputeOptions
 from stss.images.color import chromaticities, same_primaries
-from stss.run.frame_job import FrameReport, describe, number_of, require_one_run
+from stss.run.frame_job import FrameReport, describe, number_of, reason_to_replace, require_one_run
 from stss.run.job import Summary, folder_of, plan
 from stss.run.job import run as run_sequence
 from stss.run.options import RunOptions
@@ -88,7 +88,8 @@ def run(
     reads = [Path(weights)]
     loaded = choose_weights(weights, frames, _tell)
     # The user's mistakes are said before a device is opened, which may take a minute.
-    require_one_run(plan(frames, out, options, reads).folder, options, describe(frames, options, "", "", loaded.label))
+    folder = plan(frames, out, options, reads).folder
+    require_one_run(folder, options, describe(frames, options, "", "", loaded.label))
     first, last = options.frames or (frames.numbers[0], frames.numbers[-1])
     start, tally = time.monotonic(), Tally()
     try:
@@ -102,6 +103,9 @@ def run(
                 summary = run_on_cluster(frames, out, cluster, Engine(loaded, backend, compute), options, on_frame, reads)
             else:
                 engine = open_backend(backend, loaded, compute, tell=_tell)
+                settings = describe(frames, options, engine.method, engine.name, loaded.label)
+                if reason := reason_to_replace(folder, options, settings):
+                    _tell(f"--resume: {reason}; such frames are made again")
                 summary = run_sequence(frames, out, engine, loaded.label, options, on_frame, reads)
     except KeyboardInterrupt:
         echo(

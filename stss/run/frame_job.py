@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, Protocol
@@ -253,9 +254,9 @@ def already_written(folder: OutputFolder, options: RunOptions, number: int, key:
     return kind if kind is FrameKind.SF or folder.holds(frame_name(number, "png", HOLES)) else None
 
 
-def settings_of(metadata: Mapping[str, Value], suffix: str) -> dict[str, str]:
+def settings_of(metadata: Mapping[str, Value], suffix: str, names: tuple[str, ...] = SETTINGS) -> dict[str, str]:
     """What all frames of one run have in common, by the metadata of a frame and its file's suffix, without a dot."""
-    return {name: str(metadata.get(f"stss:{name}", "none")) for name in SETTINGS} | {"format": suffix}
+    return {name: str(metadata.get(f"stss:{name}", "none")) for name in names} | {"format": suffix}
 
 
 def keep_outside(folder: OutputFolder, options: RunOptions) -> None:
@@ -279,19 +280,38 @@ def require_one_run(folder: OutputFolder, options: RunOptions, metadata: Mapping
     if options.frames is None or not options.overwrite:
         return
     first, last = options.frames
-    wanted = settings_of(metadata, options.format)
+    for path, other in _other_settings(folder, options, metadata, SETTINGS):
+        if not first <= number_of(path.name) <= last:
+            raise InputError(
+                f"{path}: {other}: --overwrite --frames {first}:{last} would mix two runs; expected the settings of the earlier one, "
+                "another folder, or --overwrite without --frames, which replaces all"
+            )
+
+
+def reason_to_replace(folder: OutputFolder, options: RunOptions, metadata: Mapping[str, Value]) -> str:
+    """Why ``--resume`` makes frames again: the first one with another setting, and which; empty where there is none.
+
+    Takes what `require_one_run` takes.
+    """
+    first, last = options.frames or (-math.inf, math.inf)
+    others = _other_settings(folder, options, metadata, (*SETTINGS, "backend", "version")) if options.resume else ()
+    return next((f"{path}: {other}" for path, other in others if first <= number_of(path.name) <= last), "")
+
+
+def _other_settings(
+    folder: OutputFolder, options: RunOptions, metadata: Mapping[str, Value], names: tuple[str, ...]
+) -> Iterator[tuple[Path, str]]:
+    """The frames of the folder that were made with other settings of these ``names`` than ``metadata``, each with the first of them."""
+    wanted = settings_of(metadata, options.format, names)
     for path in folder.present():
-        if path.parent != folder.path or path.name == SUMS or first <= number_of(path.name) <= last:
+        if path.parent != folder.path or path.name == SUMS:
             continue
         try:
-            found = settings_of(read_header(path).attributes, path.suffix[1:])
+            found = settings_of(read_header(path).attributes, path.suffix[1:], names)
         except InputError:  # somebody else's, which the folder tells
             continue
         if other := [f"{key} {found[key]}, not {value}" for key, value in wanted.items() if value not in ("", found[key])]:
-            raise InputError(
-                f"{path}: {other[0]}: --overwrite --frames {first}:{last} would mix two runs; expected the settings of the earlier one, "
-                "another folder, or --overwrite without --frames, which replaces all"
-            )
+            yield path, other[0]
 
 
 def number_of(name: str) -> int:

@@ -6,6 +6,7 @@ from click.testing import CliRunner
 
 from conformance.scenes import DEMO, render
 from stss.cli.main import stss
+from stss.frames.backends import ReferenceBackend
 from stss.images.read_write import read_channels, read_header, write_channels
 from stss.sequence.profiles import load_profile
 from stss.weights.file import save
@@ -39,6 +40,7 @@ NO_FILE = {
 def run(*words):
     result = CliRunner().invoke(stss, ["run", "frames", *words, "--backend", "ref"])
     assert result.exit_code == 0, result.output
+    return result.output
 
 
 def pixels(folder):
@@ -91,3 +93,16 @@ def test_resume_makes_anew_what_another_value_made(shot, tmp_path, monkeypatch, 
     new, old = pixels(tmp_path / "new"), pixels(tmp_path / "old")
     assert new != before, f"{option} {OPTIONS[option]} changes nothing: this test could not fail"
     assert new == {name: old[name] for name in new}
+
+
+def test_resume_says_why_frames_are_made_again(shot, tmp_path, monkeypatch):
+    monkeypatch.chdir(shot)
+    base = ["-o", str(tmp_path / "out"), "--weights", "random.safetensors", "--metallic", "0", "--roughness", "0.5"]
+    run(*base, "--frames", "0:1")
+    assert "--resume: " not in run(*base, "--resume")  # the same settings: kept, or not there yet
+    for value, words in (("none", "transfer srgb, not none"), ("srgb", "transfer none, not srgb")):
+        lines = run(*base, "--transfer", value, "--resume").splitlines()
+        assert f"--resume: {tmp_path}/out/frame.0000.exr: {words}; such frames are made again" in lines
+    assert "frame.0000.exr: format exr, not png;" in run(*base, "--format", "png", "--resume")
+    monkeypatch.setattr(ReferenceBackend, "name", "another")
+    assert "frame.0000.exr: backend ref, not another;" in run(*base, "--resume")
