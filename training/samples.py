@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from conformance.scenes import render
 from stss.cli.options import MAX_COUNT, sequence_options
 from stss.frames.buffers import Buffers
-from stss.frames.display_frame import WINDOW, DisplayFrame, frame_inputs, make_display_frame, plan, same_surface, window_at
+from stss.frames.display_frame import WINDOW, DisplayFrame, frame_inputs, make_display_frame, same_surface, schedule_of, window_at
 from stss.images.color import transfer
 from stss.images.headers import MAX_SIDE
 from stss.quality.output_and_truth import find_images, read_shown, require_size
@@ -87,7 +87,7 @@ def samples(frames: Sequence[DisplayFrame], truths: Mapping[int, Image], hole_fi
             window = [
                 frame if (last.number - frame.number) % 2 == odd else replace(frame, color=None) for frame in window_at(frames, i)
             ]
-            schedule = plan(window)
+            schedule = schedule_of(window)
             if schedule is not None and len(window) > 1:
                 frame_planes = frame_inputs(window, schedule.steps)
                 inputs = pack(

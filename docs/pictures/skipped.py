@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from conformance.scenes import SCENES
-from stss.frames.display_frame import plan, window_at
+from stss.frames.display_frame import schedule_of, window_at
 from stss.images.read_write import write_rgb
 from stss.sequence.scenes import display_frames
 from stss.weights.file import load
@@ -23,9 +23,9 @@ def panel(scene):
     stream, frames = Stream(load("antialiased").weights), list(display_frames(SCENES[scene], (136, 240), COUNT))
     for number in range(COUNT):
         window = window_at(frames, number)
-        timing = plan(window)
-        assert timing is not None
-        image, _ = stream(window, timing.steps)
+        schedule = schedule_of(window)
+        assert schedule is not None
+        image, _ = stream(window, schedule.steps)
     share = stream.activity().repeat(8, axis=0).repeat(8, axis=1)[: image.shape[0], : image.shape[1], None]
     grey = DIM * np.clip(image, 0, 1).mean(axis=-1, keepdims=True)
     return grey + share * (1 - DIM) * np.asarray(BUSY, np.float32)

@@ -19,7 +19,7 @@ from gpu import Picture, code
 from numpy.typing import NDArray
 from port import Maker
 
-from stss.frames.display_frame import DisplayFrame, frame_inputs, make_display_frame, plan, window_at
+from stss.frames.display_frame import DisplayFrame, frame_inputs, make_display_frame, schedule_of, window_at
 from stss.frames.output import choose_rendered
 from stss.images.color import transfer
 from stss.sequence.choose_weights import choose_weights
@@ -55,7 +55,7 @@ class Store:
 
 def recorded(window: list[DisplayFrame], weights: Weights, store: Store) -> dict[str, Any] | None:
     """The calls of the newest frame of ``window``; None where it cannot be made."""
-    schedule = plan(window)
+    schedule = schedule_of(window)
     if schedule is None:
         return None
     maker = Maker(weights)

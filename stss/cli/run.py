@@ -25,7 +25,7 @@ from stss.frames.backends import open_backend
 from stss.frames.compute_options import ComputeOptions
 from stss.images.color import chromaticities, same_primaries
 from stss.run.frame_job import FrameReport, describe, number_of, reason_to_replace, require_one_run
-from stss.run.job import Summary, folder_of, plan
+from stss.run.job import Summary, folder_of, plan_run
 from stss.run.job import run as run_sequence
 from stss.run.options import RunOptions
 from stss.run.skip_report import Tally, describe_costs
@@ -88,7 +88,7 @@ def run(
     reads = [Path(weights)]
     loaded = choose_weights(weights, frames, _tell)
     # The user's mistakes are said before a device is opened, which may take a minute.
-    folder = plan(frames, out, options, reads).folder
+    folder = plan_run(frames, out, options, reads).folder
     require_one_run(folder, options, describe(frames, options, "", "", loaded.label))
     first, last = options.frames or (frames.numbers[0], frames.numbers[-1])
     start, tally = time.monotonic(), Tally()

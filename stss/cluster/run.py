@@ -12,7 +12,7 @@ from pathlib import Path
 from stss.cluster.chunk import Chunk, Engine, Introduction, Work, compute_chunk, introduce
 from stss.cluster.workers import Workers, connect
 from stss.run.frame_job import FrameReport, already_written, describe, keep_outside, keys_of, require_one_run
-from stss.run.job import REFUSAL, RunPlan, Summary, plan
+from stss.run.job import REFUSAL, RunPlan, Summary, plan_run
 from stss.run.options import RunOptions
 from stss.sequence.reader import Sequence as Frames
 from stss_ground.errors import InputError
@@ -55,7 +55,7 @@ def run_on_cluster(
         InputError: as there; nothing answers at the address, workers differ, or workers die or hang again and
             again.
     """
-    run_plan = plan(sequence, out, options, reads)
+    run_plan = plan_run(sequence, out, options, reads)
     # The workers alone know the method.
     require_one_run(run_plan.folder, options, describe(sequence, options, "", "", engine.loaded.label))
     work = Work(VERSION, sequence, run_plan.rendered, out, options, engine)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stss.frames.compute_options import ComputeOptions
-from stss.frames.display_frame import WINDOW, BackendImage, DisplayFrame, plan
+from stss.frames.display_frame import WINDOW, BackendImage, DisplayFrame, schedule_of
 from stss.images.color import Transfer
 from stss.weights.file import LoadedWeights
 from stss_cl.cost import Cost
@@ -116,9 +116,9 @@ class Accumulation:
         """What is kept of the last frame of ``window``, computed if need be; None where it has no output."""
         if (kept := self._frames.get(id(window[-1]))) is not None:
             return kept
-        if (timing := plan(window)) is None:
+        if (schedule := schedule_of(window)) is None:
             return None
-        made = _Kept(self._backend.compute(window, timing.steps)[0])
+        made = _Kept(self._backend.compute(window, schedule.steps)[0])
         self._keep(window[-1], made)
         return made
 

@@ -130,7 +130,7 @@ def window_at(frames: Sequence[DisplayFrame], position: int) -> Sequence[Display
     return frames[max(0, position - WINDOW + 1) : position + 1]
 
 
-def plan(window: Sequence[DisplayFrame]) -> Schedule | None:
+def schedule_of(window: Sequence[DisplayFrame]) -> Schedule | None:
     """The schedule of the newest frame of ``window``; None for an EF with no rendered frame just before it."""
     window = window[-WINDOW:]
     newest = window[-1].number

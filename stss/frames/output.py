@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from stss.frames.backends import Backend
-from stss.frames.display_frame import DisplayFrame, plan
+from stss.frames.display_frame import DisplayFrame, schedule_of
 from stss.images.color import Transfer
 from stss_ground.errors import InputError
 from stss_ref.arrays import Image, Mask
@@ -47,13 +47,13 @@ def compute(window: Sequence[DisplayFrame], backend: Backend, curve: Transfer) -
         backend: the backend to compute it with.
         curve: the transfer that their colours went through.
     """
-    timing = plan(window)
-    if timing is None:
+    schedule = schedule_of(window)
+    if schedule is None:
         return None
-    image, valid = backend.compute(window, timing.steps)
-    step, newest = timing.steps[0], window[-1]
+    image, valid = backend.compute(window, schedule.steps)
+    step, newest = schedule.steps[0], window[-1]
     color, carried = backend.deliver(image, curve, window[-1 - step].carried, newest.motion if step else None)
-    return Output(newest.number, timing.kind, color, np.array(valid), carried)  # a backend may keep its own for later
+    return Output(newest.number, schedule.kind, color, np.array(valid), carried)  # a backend may keep its own for later
 
 
 def choose_rendered(

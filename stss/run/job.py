@@ -82,7 +82,7 @@ def run(
             written to, ``out`` is the sequence's folder, another process writes there, it holds frames of others, or those of an
             earlier run and neither ``resume`` nor ``overwrite`` is set.
     """
-    run_plan = plan(sequence, out, options, reads, whole=backend.window is None)
+    run_plan = plan_run(sequence, out, options, reads, whole=backend.window is None)
     folder = run_plan.folder
     job = FrameJob.of(sequence, run_plan.rendered, options, backend, weights, folder, partial(already_written, folder, options))
     summary = Summary([])
@@ -101,7 +101,7 @@ def run(
     return summary
 
 
-def plan(sequence: Sequence, out: Path, options: RunOptions, reads: Iterable[Path] = (), *, whole: bool = False) -> RunPlan:
+def plan_run(sequence: Sequence, out: Path, options: RunOptions, reads: Iterable[Path] = (), *, whole: bool = False) -> RunPlan:
     """Plan a run; no pixel is read, and nothing is written.
 
     Args:

@@ -21,7 +21,7 @@ from stss_cl.network.layer import KernelSource, LayerLaunch
 from stss_cl.network.layer_builder import LayerBuilder, dtype_of
 from stss_cl.network.pack_inputs import PackInputs
 from stss_cl.network.pack_weights import amx_outc, pack_outc
-from stss_cl.network.plan import LAST, Attend, Conv, Plan, Upsample, plan
+from stss_cl.network.plan import LAST, Attend, Conv, Plan, Upsample, plan_network
 from stss_cl.network.strips import OVERLAP, Strip, bytes_for, rows_within, strips
 from stss_cl.network.tiles import Tiling, of_convolution, whole
 from stss_ref.arrays import Array
@@ -89,7 +89,9 @@ class Layers:
         local = tuning_for(device).local is not None and not device.is_cpu
         live = find_live(weights)
         subset = Live(BY_NAME, (), weights) if every else live
-        planned = partial(plan, subset.layers, subset.once, keep=keep, fused=winograd or precision == "bfloat16", local=local)
+        planned = partial(
+            plan_network, subset.layers, subset.once, keep=keep, fused=winograd or precision == "bfloat16", local=local
+        )
         # The three images of the history in one launch, if there is a kernel for that and their buffers have room.
         what = planned(together=local and not winograd and precision in ("float32", "half"))
         if bytes_for(rows, full, columns, dtype, keep=keep, what=what) > limit:

@@ -86,7 +86,7 @@ class Plan:
     fused: bool
 
 
-def plan(
+def plan_network(
     layers: Mapping[str, Layer] = BY_NAME, once: Collection[str] = (), *, keep: bool, fused: bool, local: bool, together: bool
 ) -> Plan:
     """Plan a network.

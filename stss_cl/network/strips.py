@@ -11,7 +11,7 @@ from numpy.typing import DTypeLike
 
 from stss_cl.device.buffers import map_bytes, padded_bytes
 from stss_cl.device.parts import whole_pages
-from stss_cl.network.plan import Plan, plan
+from stss_cl.network.plan import Plan, plan_network
 from stss_ground.errors import DeviceError
 
 OVERLAP = {False: 128, True: 256}
@@ -59,7 +59,7 @@ def bytes_for(rows: int, height: int, width: int, dtype: DTypeLike, *, keep: boo
 
 @cache
 def _largest(keep: bool) -> Plan:
-    return plan(keep=keep, fused=False, local=False, together=False)
+    return plan_network(keep=keep, fused=False, local=False, together=False)
 
 
 def rows_within(height: int, width: int, dtype: DTypeLike, limit: int, overlap: int) -> int:

@@ -20,7 +20,7 @@ from rich.table import Table
 
 from conformance.scenes import SCENES
 from stss.frames.compute_options import ComputeOptions
-from stss.frames.display_frame import DisplayFrame, frame_inputs, plan, window_at
+from stss.frames.display_frame import DisplayFrame, frame_inputs, schedule_of, window_at
 from stss.quality.metrics import psnr
 from stss.sequence.scenes import check_request, display_frames, truth
 from stss_cl.device.discovery import Device, open_device
@@ -191,7 +191,7 @@ def measure(setup: Setup, scene: str, settings: Sequence[ComputeOptions], count:
 def window_and_steps(frames: Sequence[DisplayFrame], number: int) -> tuple[Sequence[DisplayFrame], tuple[int, int, int]]:
     """The window of a display frame, and the steps of its schedule."""
     window = window_at(frames, number)
-    schedule = plan(window)
+    schedule = schedule_of(window)
     assert schedule is not None  # frame 0 is rendered
     return window, schedule.steps
 

@@ -6,7 +6,7 @@ import numpy as np
 import pyopencl as cl
 import pyopencl.array as cla
 
-from stss.frames.display_frame import DisplayFrame, plan, window_at
+from stss.frames.display_frame import DisplayFrame, schedule_of, window_at
 from stss_cl.skip.planes import HALF
 from stss_ref.frame import FrameInputs
 from stss_ref.weights import Weights
@@ -119,7 +119,7 @@ def film(changes=MIXED, size=SIZE, seed=4, rendered=(True, False)):
 def calls_of(frames):
     """The window and the steps of each frame."""
     windows = [window_at(frames, i) for i in range(len(frames))]
-    return [(window, plan(window).steps) for window in windows]
+    return [(window, schedule_of(window).steps) for window in windows]
 
 
 def on(device, frame):

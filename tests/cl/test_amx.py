@@ -17,7 +17,7 @@ from stss_cl.network import layers
 from stss_cl.network.conv import ConvSpec, conv
 from stss_cl.network.network import Network
 from stss_cl.network.pack_weights import amx_bias, amx_tiles, pack
-from stss_cl.network.plan import plan
+from stss_cl.network.plan import plan_network
 from stss_ground.errors import DeviceError
 from stss_ref.weights import random as random_weights
 from stss_ref.weights import zeros
@@ -166,7 +166,9 @@ def test_the_last_layer_writes_the_image(processor, unoptimised, units, monkeypa
     2**-24 each."""
     inputs, images, weights = network_inputs((13, 75), 3), [], random_weights(3)
     for fused in (True, False):
-        monkeypatch.setattr(layers, "plan", lambda *a, is_fused=fused, **rest: plan(*a, **{**rest, "fused": is_fused}))
+        monkeypatch.setattr(
+            layers, "plan_network", lambda *a, is_fused=fused, **rest: plan_network(*a, **{**rest, "fused": is_fused})
+        )
         network = Network(weights, processor, "bfloat16")
         images.append(network(*inputs))
         assert (network.layers(13, 75).launches[-1].name == "image") == (not fused)

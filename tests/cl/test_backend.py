@@ -10,7 +10,7 @@ from stss.frames.accumulation import EARLIER, Accumulation, accumulate_arrays
 from stss.frames.backends import OpenCLBackend
 from stss.frames.carried_planes import HIGHLIGHTS
 from stss.frames.compute_options import ComputeOptions
-from stss.frames.display_frame import OnHost, plan
+from stss.frames.display_frame import OnHost, schedule_of
 from stss.frames.output import compute
 from stss.images.color import transfer
 from stss_cl.image_space.output import CURVE_ERROR
@@ -53,7 +53,7 @@ def test_an_output_is_what_its_stages_make_on_the_host(device, backend, curve):
     frames, alone, images = list(bright_film()), Stream(weights_for(device), device, skip="off"), []
     for window in windows(frames):
         got = compute(window, backend, transfer(curve))
-        steps = plan(window).steps
+        steps = schedule_of(window).steps
         image, valid = alone(window[-6:], steps)
         earlier, images = images[:EARLIER], [image, *images]
         shown = accumulate_arrays(image, earlier, [frame.motion for frame in window[::-1]][: len(earlier)]) if earlier else image
@@ -68,8 +68,8 @@ def test_an_output_is_what_its_stages_make_on_the_host(device, backend, curve):
 def test_frames_that_another_thread_pushed_out_are_mixed_too(device, backend):
     """Their motion is no longer on the device."""
     frames, others = film(seed=1), film(seed=2)
-    steps = plan(frames[:4]).steps
-    images = [backend._backend.compute(tuple(frames[: n + 1]), plan(frames[: n + 1]).steps)[0] for n in range(4)]
+    steps = schedule_of(frames[:4]).steps
+    images = [backend._backend.compute(tuple(frames[: n + 1]), schedule_of(frames[: n + 1]).steps)[0] for n in range(4)]
     backend.compute(tuple(others[:4]), steps)
     motions = [frame.motion for frame in frames[3:1:-1]]
     mixed = backend._backend.accumulate(images[3], images[2:0:-1], motions)
@@ -96,7 +96,7 @@ def test_a_plane_crosses_once_and_an_image_once(gpu, monkeypatch):
         moved[:] = 0, 0
         output, frame = compute(window, backend, transfer("srgb")), window[-1]
         planes = [getattr(frame, name) for name in ("color", "motion", "gbuffer", "nov", "stencil", "position")]
-        carried = window[-1 - plan(window).steps[0]].carried
+        carried = window[-1 - schedule_of(window).steps[0]].carried
         brought = sum(plane.nbytes for plane in (*planes, *carried.values()) if plane is not None)
         shown = output.image.nbytes + output.valid.nbytes + sum(plane.nbytes for plane in output.carried.values())
         change_map = frame.nov.size  # bytes

@@ -8,7 +8,7 @@ import pyopencl as cl
 import pyopencl.array as cla
 import pytest
 
-from stss.frames.display_frame import plan
+from stss.frames.display_frame import schedule_of
 from stss_cl.skip import stream
 from stss_cl.skip.frames_in_flight import FrameInFlight
 from stss_cl.skip.stream import Stream
@@ -58,11 +58,11 @@ def test_what_is_not_finite_is_named_and_leaves_nothing(device, skip, there):
     stream, fresh = Stream(weights_for(device), device, skip=skip), Stream(weights_for(device), device, skip="off")
     stream.control.frames_unlooked = 100  # nobody waits for what is found on arrival
     planes = [on(device, frame) for frame in (*frames, broken)] if there else [*frames, broken]
-    stream(planes[:7][-6:], plan(frames[1:7]).steps)
+    stream(planes[:7][-6:], schedule_of(frames[1:7]).steps)
     with pytest.raises(ArrayError, match="nov:"):
-        stream([*planes[2:7], planes[-1]], plan(frames[2:8]).steps)
-    image, _ = stream(planes[2:8], plan(frames[2:8]).steps)
-    want, _ = fresh(frames[2:8], plan(frames[2:8]).steps)
+        stream([*planes[2:7], planes[-1]], schedule_of(frames[2:8]).steps)
+    image, _ = stream(planes[2:8], schedule_of(frames[2:8]).steps)
+    want, _ = fresh(frames[2:8], schedule_of(frames[2:8]).steps)
     np.testing.assert_array_equal(image.get() if there else image, want)
 
 
@@ -72,7 +72,7 @@ def test_what_is_not_finite_is_named_in_any_frame_of_a_first_window(device, whic
     frames = film(["moving"] * 5)
     broken = replace(frames[which], gbuffer=frames[which].gbuffer.copy())
     broken.gbuffer[3, 4, 5] = np.nan
-    stream, steps = Stream(weights_for(device), device), plan(frames).steps
+    stream, steps = Stream(weights_for(device), device), schedule_of(frames).steps
     with pytest.raises(ArrayError, match="gbuffer: 1 non-finite"):
         stream([*frames[:which], broken, *frames[which + 1 :]], steps)
     np.testing.assert_array_equal(stream(frames, steps)[0], Stream(weights_for(device), device, skip="off")(frames, steps)[0])

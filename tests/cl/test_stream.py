@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stss.frames.display_frame import plan
+from stss.frames.display_frame import schedule_of
 from stss_cl.device.discovery import CLASSES
 from stss_cl.device.program import programs_of
 from stss_cl.network.layers import COLUMNS
@@ -38,7 +38,7 @@ def sequences(draw):
     for last, length, where in odd:  # out of turn, repeated, or with the beginning cut off
         calls.insert(where, (last, length))
     windows = [frames[max(0, last - length + 1) : last + 1] for last, length in calls]
-    return [(window, schedule.steps) for window in windows if (schedule := plan(window))]
+    return [(window, schedule.steps) for window in windows if (schedule := schedule_of(window))]
 
 
 PAIRS = {
@@ -133,7 +133,7 @@ def test_frames_older_than_the_window_are_let_go(gpu):
     while frames:
         window = [*window[-5:], frames.pop(0)]
         masks.append(weakref.ref(window[-1].gbuffer))
-        stream(window, plan(window).steps)
+        stream(window, schedule_of(window).steps)
     assert [ref() is not None for ref in masks] == 6 * [False] + 6 * [True]
 
 

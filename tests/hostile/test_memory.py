@@ -13,7 +13,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from stss.frames.display_frame import WINDOW, plan
+from stss.frames.display_frame import WINDOW, schedule_of
 from stss_cl.network.network import Network
 from stss_cl.skip.stream import Stream
 from stss_ref.arrays import ArrayError
@@ -66,7 +66,7 @@ def show(frames, length, *callers):
         for (stream, caller), window in zip(callers, windows, strict=True):
             del window[: max(0, len(window) + 1 - length)]
             window.append(caller(frame))
-            schedule = plan(window)
+            schedule = schedule_of(window)
             if schedule is not None:
                 answers.append((stream(window, schedule.steps), stream.cost))
         if answers:
@@ -102,13 +102,13 @@ def test_a_frame_that_left_the_window_and_comes_again_is_a_new_one(device):
     keeping, plain = Stream(WEIGHTS, device), Stream(WEIGHTS, device, skip="off")
     for last in (5, 6, 7, 4):
         window = frames[max(0, last + 1 - WINDOW) : last + 1]
-        keeping(window, plan(window).steps)
+        keeping(window, schedule_of(window).steps)
     for i in (5, 6, 7):
         for name in set(PLANES) - {"color"} | ({"color"} if i % 2 == 0 else set()):
             getattr(frames[i], name)[...] = getattr(other[i], name)
     for last in (5, 6, 7):
         window = frames[last + 1 - WINDOW : last + 1]
-        assert_same(keeping(window, plan(window).steps), plain(window, plan(window).steps))
+        assert_same(keeping(window, schedule_of(window).steps), plain(window, schedule_of(window).steps))
 
 
 def test_a_stream_that_is_dropped_is_freed_at_once(device):
