@@ -30,10 +30,8 @@ class LayerBuilder:
         device: to run on.
         weights: the tensors of the plan's layers.
         precision: see ``stss_cl.options.PRECISIONS``.
-        height, width: of the largest activations, multiples of 8.
         slots: the plan's buffers.
-        inputs: the first of these buffers.
-        keep: whether buffers have change maps.
+        inputs: the first of these buffers; the others have change maps if these have.
 
     Attributes:
         launches: in order, those of ``once`` first.
@@ -42,26 +40,18 @@ class LayerBuilder:
         results: the place of each launch's result: buffer, first channel, channels; None: it leaves no whole layer's result.
     """
 
-    def __init__(
-        self,
-        device: Device,
-        weights: Tensors,
-        precision: str,
-        height: int,
-        width: int,
-        slots: Sequence[Slot],
-        inputs: Inputs,
-        keep: bool,
-    ):
+    def __init__(self, device: Device, weights: Tensors, precision: str, slots: Sequence[Slot], inputs: Inputs):
         self.launches: list[LayerLaunch] = []
         self.results: list[tuple[Padded, int, int] | None] = []
-        self._device, self._weights, self._dtype = device, weights, dtype_of(precision)
+        full = inputs.input
+        self._device, self._weights, self._dtype = device, weights, full.dtype
         self._winograd = precision != "float32-direct"
-        first = inputs.input, inputs.earlier, inputs.eighth
+        first = full, inputs.earlier, inputs.eighth
         tensors = [
-            pad(device, height // slot.divisor, width // slot.divisor, slot.channels, self._dtype, slot.images)
+            pad(device, full.height // slot.divisor, full.width // slot.divisor, slot.channels, full.dtype, slot.images)
             for slot in slots[len(first) :]
         ]
+        keep = inputs.changes is not None
         self.maps = Parts(device, [map_bytes(each.height, each.width, each.images) for each in tensors]) if keep else None
         self.marked = (
             [replace(each, changes=part) for each, part in zip(tensors, self.maps.buffers, strict=True)] if self.maps else []

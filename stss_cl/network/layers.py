@@ -89,36 +89,36 @@ class Layers:
         local = tuning_for(device).local is not None and not device.is_cpu
         live = find_live(weights)
         subset = Live(BY_NAME, (), weights) if every else live
-        planned = partial(
+        make_plan = partial(
             plan_network, subset.layers, subset.once, keep=keep, fused=winograd or precision == "bfloat16", local=local
         )
         # The three images of the history in one launch, if there is a kernel for that and their buffers have room.
-        what = planned(together=local and not winograd and precision in ("float32", "half"))
-        if bytes_for(rows, full, columns, dtype, keep=keep, what=what) > limit:
-            what = planned(together=False)
+        plan = make_plan(together=local and not winograd and precision in ("float32", "half"))
+        if bytes_for(rows, full, columns, dtype, keep=keep, plan=plan) > limit:
+            plan = make_plan(together=False)
         self.device, self.size, self.keep = device, (height, width), keep
         self.reads_history, self.colors_read = subset.reads_history, colors_read(weights, live)
         self.second_color: SecondColor = weights.second_color
         self.hole_test: HoleTest = weights.hole_test
         self.hole_fill: HoleFill = weights.hole_fill
-        self._needed, self._height, self._width, self._full, self._top = subset, rows, columns, full, 0
+        self._needed, self._full, self._top = subset, full, 0
         self._strip: Strip | None = None
         self.inputs = inputs_for(device, rows, columns, dtype, keep)
-        self._build = build = LayerBuilder(device, subset.tensors, precision, rows, columns, what.slots, self.inputs, keep)
+        self._build = build = LayerBuilder(device, subset.tensors, precision, plan.slots, self.inputs)
         self.marked, self.maps = build.marked, build.maps
-        self.features = {name: build[slot] for name, slot in what.features.items()}
+        self.features = {name: build[slot] for name, slot in plan.features.items()}
         self.strips = strips(full, height, rows, overlap)
         # The launches that need the place of a strip, with the divisor of their size.
         self._placed: list[tuple[LayerLaunch, int]] = []
-        for step in (*what.once, *what.steps):
+        for step in (*plan.once, *plan.steps):
             if isinstance(step, Conv):
                 build.conv(step)
             elif isinstance(step, Upsample):
                 self._upsample(step)
             else:
                 self._attend(step)
-        self._image(what)
-        self.once, self.launches = build.launches[: len(what.once)], build.launches[len(what.once) :]
+        self._image(plan)
+        self.once, self.launches = build.launches[: len(plan.once)], build.launches[len(plan.once) :]
         enqueue(device, self.once)
 
     def ready(self, image: cl.Buffer) -> list[LayerLaunch]:
@@ -245,17 +245,18 @@ class Layers:
         )  # fmt: skip
         self._placed.append((launch, step.source.divisor))
 
-    def _image(self, what: Plan) -> None:
+    def _image(self, plan: Plan) -> None:
         """The image: by the last convolution itself, or from its result; if outc is 0, from any finite activations."""
         outc, bias = pack_outc(self._needed.tensors)
-        outc = amx_outc(outc) if what.fused and self.inputs.input.dtype == BFLOAT16 else outc
+        full = self.inputs.input
+        outc = amx_outc(outc) if plan.fused and full.dtype == BFLOAT16 else outc
         weight, bias = constant(self.device, outc), constant(self.device, bias)
-        final = Final(self.inputs.base, weight, bias, self._height, self._width, *self.size, self.inputs.input.changes)
-        if what.fused:
+        final = Final(self.inputs.base, weight, bias, full.height, full.width, *self.size, full.changes)
+        if plan.fused:
             layer = self._needed.layers[LAST]
-            self._build.conv(Conv(layer, ((what.last, layer.inputs),), what.last), final)
+            self._build.conv(Conv(layer, ((plan.last, layer.inputs),), plan.last), final)
             return
-        feature = self._build[what.last]
+        feature = self._build[plan.last]
         small, large = (
             of_convolution(final.height, final.width, 1, 3),
             Tiling(ceil_div(final.height, 4), ceil_div(final.width, COLUMNS), (4, COLUMNS), 1, 0),
@@ -268,5 +269,5 @@ class Layers:
                 "feature_columns": feature.columns, "first_row": 0, "top": 0,
             },
             small if self.device.is_cpu else large,
-            workers=COLUMNS, reads=(feature, self.inputs.input), out=None,
+            workers=COLUMNS, reads=(feature, full), out=None,
         )  # fmt: skip

@@ -39,7 +39,7 @@ class Strip:
     last: int
 
 
-def bytes_for(rows: int, height: int, width: int, dtype: DTypeLike, *, keep: bool = False, what: Plan | None = None) -> int:
+def bytes_for(rows: int, height: int, width: int, dtype: DTypeLike, *, keep: bool = False, plan: Plan | None = None) -> int:
     """Bytes that a network and its frames take on a device, without the caller's display frames.
 
     Args:
@@ -47,10 +47,10 @@ def bytes_for(rows: int, height: int, width: int, dtype: DTypeLike, *, keep: boo
         height, width: of the frame, multiples of 8.
         dtype: of the activations.
         keep: whether each layer keeps its output, with a change map.
-        what: what runs; None: the plan that takes most.
+        plan: of the network; None: the one that takes most.
     """
     total = rows * width * BASE + height * width * (IMAGE + PREPARE) + WEIGHTS
-    for slot in (what or _largest(keep)).slots:
+    for slot in (plan or _largest(keep)).slots:
         size = rows // slot.divisor, width // slot.divisor, slot.channels
         total += whole_pages(padded_bytes(*size, np.dtype(dtype), slot.images))
         total += keep * map_bytes(*size[:2], slot.images)
