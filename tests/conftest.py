@@ -77,7 +77,8 @@ def reference_data() -> Path:
 @pytest.fixture(scope="session")
 def device():
     """The device that the OpenCL backend chooses by itself, or the one that ``$STSS_DEVICE`` names."""
-    from stss_cl.device.discovery import DeviceError, open_device
+    from stss_cl.device.discovery import open_device
+    from stss_ground.errors import DeviceError
 
     try:
         return open_device()

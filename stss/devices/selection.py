@@ -14,7 +14,8 @@ from rich.table import Table
 from stss.devices.verdicts import Tell, Verdict, verdict
 from stss.weights.file import REALTIME
 from stss_cl.device import amx
-from stss_cl.device.discovery import Device, DeviceError, Properties, is_gpu, matching, name_devices, no_device, open_handle
+from stss_cl.device.discovery import Device, Properties, is_gpu, matching, name_devices, no_device, open_handle
+from stss_ground.errors import DeviceError
 from stss_ground.machine import cpu_flags
 
 AVX2 = frozenset({"haswell", "broadwell", "skylake", "alderlake", "raptorlake", "znver1", "znver2", "znver3", "x86-64-v3"})

@@ -23,13 +23,14 @@ from conformance.tolerance import ratio
 from stss.devices.trial import SIZE, trial_weights
 from stss.images.color import transfer
 from stss.weights.file import REALTIME
-from stss_cl.device.discovery import Device, DeviceError, open_device
+from stss_cl.device.discovery import Device, open_device
 from stss_cl.device.launch import Kernel
 from stss_cl.device.program import program_for
 from stss_cl.image_space.output import CURVE_ERROR, OutputKernels
 from stss_cl.image_space.stages import ImageStages
 from stss_cl.skip.arrival import Arrival
 from stss_cl.skip.stream import Stream
+from stss_ground.errors import DeviceError
 from stss_ref.accumulate import accumulate
 from stss_ref.frame import FrameInputs, prepare_for
 from stss_ref.network import network as reference_network

@@ -13,12 +13,13 @@ import numpy as np
 from stss.frames.backends import Backend, open_backend
 from stss.frames.buffers import Buffers
 from stss.frames.check_buffers import check_buffers
-from stss.frames.compute_options import ComputeOptions, Precision, Skip
+from stss.frames.compute_options import ComputeOptions
 from stss.frames.display_frame import WINDOW, DisplayFrame, make_display_frame
 from stss.frames.output import Output, compute
 from stss.images.color import transfer as transfer_named
 from stss.images.headers import MAX_SIDE
 from stss.weights.file import REALTIME, LoadedWeights
+from stss_cl.options import Precision, Skip
 from stss_ground.arguments import require_choice, require_kind
 from stss_ground.errors import InputError
 from stss_ground.terminal import log

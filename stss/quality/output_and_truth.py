@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from stss.images.color import TRANSFERS, Transfer, chromaticities, same_primaries, transfer
-from stss.images.headers import Header, Value
-from stss.images.read_write import read_header, read_rgb
+from stss.images.headers import Header, Value, read_header
+from stss.images.read_write import read_rgb
 from stss.images.windows import union
 from stss.sequence.find_files import numbered_files
 from stss.sequence.raw_frame import NonFinite

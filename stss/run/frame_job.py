@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, Protocol
 
-from stss.frames.backends import Backend, Cost
+from stss.frames.backends import Backend
 from stss.frames.display_frame import WINDOW, DisplayFrame
 from stss.frames.output import Output, compute, shot_start
 from stss.frames.static_holes import static_holes
@@ -22,6 +22,7 @@ from stss.run.options import RunOptions
 from stss.run.pipeline import overlap
 from stss.run.window import Keys, Window
 from stss.sequence.reader import Sequence
+from stss_cl.cost import Cost
 from stss_ground.errors import InputError
 from stss_ground.output.folder import SUMS, OutputFolder
 from stss_ground.version import VERSION

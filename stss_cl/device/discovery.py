@@ -26,7 +26,6 @@ from stss_ground.machine import container_memory
 __all__ = [
     "CLASSES",
     "Device",
-    "DeviceError",
     "Properties",
     "find_devices",
     "full_name",

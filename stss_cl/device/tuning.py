@@ -15,9 +15,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 from stss_cl.device.caches import private
-from stss_cl.device.discovery import CLASSES, MAKERS, DeviceClass, DeviceError, Properties
+from stss_cl.device.discovery import CLASSES, MAKERS, DeviceClass, Properties
 from stss_cl.device.grid import ceil_div
 from stss_cl.device.program import source
+from stss_ground.errors import DeviceError
 from stss_ground.toml_table import Table, read_toml
 
 BUILT_IN = Path(__file__).with_name("tuning.toml")

@@ -7,7 +7,8 @@ import numpy as np
 
 from stss_lab.stress.table import Cell, StressPlan, StressTable, short
 from stss_ref.arrays import Array, Mask
-from stss_ref.holes import HoleLimits, holes
+from stss_ref.constants import HoleLimits
+from stss_ref.holes import holes
 
 DISTANCES = (1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8)
 """Distances of the scene from the origin; cm."""

@@ -12,12 +12,13 @@ import pyopencl as cl
 
 from conformance.tolerance import ratio
 from stss_cl.device.buffers import pad, read, write
-from stss_cl.device.discovery import Device, DeviceError, Properties
+from stss_cl.device.discovery import Device, Properties
 from stss_cl.device.grid import ceil8
 from stss_cl.device.launch import Launch
 from stss_cl.device.tuning import Direct, Local, Tuning, Winograd, trial
 from stss_cl.network.conv import ConvSpec, conv
 from stss_cl.network.pack_weights import Packed, pack
+from stss_ground.errors import DeviceError
 from stss_ref.arrays import Array
 
 MIN_DURATION = 2e-3

@@ -14,8 +14,9 @@ from rich.console import Console
 from rich.table import Table
 
 from stss.devices.selection import choose
-from stss_cl.device.discovery import Device, DeviceError, Properties, matching
+from stss_cl.device.discovery import Device, Properties, matching
 from stss_cl.device.tuning import OUTPUTS, Direct, Local, Tuning, Winograd, built_in, read_tuning, store
+from stss_ground.errors import DeviceError
 from stss_ground.progress import show_steps
 from stss_lab.tune.tile_timing import SHAPES, Sizes, Trials, direct_candidates, local_candidates, winograd_candidates
 

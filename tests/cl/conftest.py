@@ -6,8 +6,9 @@ import pyopencl as cl
 import pytest
 
 from stss_cl.device import discovery
-from stss_cl.device.discovery import CLASSES, DeviceError, open_device
+from stss_cl.device.discovery import CLASSES, open_device
 from stss_cl.options import PRECISIONS
+from stss_ground.errors import DeviceError
 from tests.tiers import thorough
 
 QUICK = tuple(precision for precision in PRECISIONS if precision != "bfloat16")

@@ -15,10 +15,11 @@ import pytest
 
 from stss_cl.device import discovery as devices
 from stss_cl.device import program
-from stss_cl.device.discovery import DeviceError, matching, open_device
+from stss_cl.device.discovery import matching, open_device
 from stss_cl.device.launch import Kernel
 from stss_cl.device.program import program_for
 from stss_ground import machine as machine_of_this
+from stss_ground.errors import DeviceError
 from stss_ground.machine import available_threads, container_cores, container_memory
 
 DEMO = "kernel void three(global float *out) { out[get_global_id(0)] = THREE; }\n"

@@ -9,7 +9,6 @@ import pytest
 from rich.console import Console
 
 from stss_cl.device import tuning
-from stss_cl.device.discovery import DeviceError
 from stss_cl.device.tuning import (
     OUTPUTS,
     Direct,
@@ -24,6 +23,7 @@ from stss_cl.device.tuning import (
     tuning_for,
 )
 from stss_cl.network.tiles import whole
+from stss_ground.errors import DeviceError
 from stss_lab.tune import tile_timing as trials
 from stss_lab.tune import tune
 from stss_lab.tune.tile_timing import INTEL, SHAPES, Trials, direct_candidates, winograd_candidates

@@ -17,7 +17,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stss.images.read_write import read_channels, read_header, read_rgb
+from stss.images.headers import read_header
+from stss.images.read_write import read_channels, read_rgb
 from stss_ground.version import VERSION
 
 if sys.version_info >= (3, 11):

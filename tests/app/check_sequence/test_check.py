@@ -11,7 +11,8 @@ from rich.console import Console
 
 from stss.check_sequence.motion_convention import CHOICES
 from stss.check_sequence.report import check, missing_buffers, print_report
-from stss.images.read_write import read_channels, read_header, write_channels
+from stss.images.headers import read_header
+from stss.images.read_write import read_channels, write_channels
 from stss.sequence.profiles import load_profile
 from stss.sequence.reader import Sequence, SequenceOptions, open_sequence
 from stss_ground.errors import InputError

@@ -11,7 +11,8 @@ import pytest
 
 from stss.demo import demo_path, write_demo_sequence
 from stss.images.color import transfer
-from stss.images.read_write import read_header, read_rgb, write_channels
+from stss.images.headers import read_header
+from stss.images.read_write import read_rgb, write_channels
 from stss.run.skip_report import describe_costs
 from stss_cl.cost import Cost
 from tests.app.conftest import PLAIN, files, frame_channels, frames_of

@@ -13,7 +13,8 @@ from conformance.scenes import DEMO, render
 from stss import demo as demonstration
 from stss.demo import BACKGROUND, INPUT_SAMPLES, demo_path, frame_channels, write_demo_sequence
 from stss.frames.backends import ReferenceBackend
-from stss.images.read_write import read_channels, read_header
+from stss.images.headers import read_header
+from stss.images.read_write import read_channels
 from stss_ground.errors import DeviceError, InputError
 from stss_ref.weights import zeros
 

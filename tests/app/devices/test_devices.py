@@ -25,7 +25,8 @@ from stss.frames import open_backend
 from stss.weights.file import REALTIME
 from stss_cl.device import amx, caches, program
 from stss_cl.device import discovery as cl_device
-from stss_cl.device.discovery import CHOICES, DeviceError, open_device
+from stss_cl.device.discovery import CHOICES, open_device
+from stss_ground.errors import DeviceError
 from stss_ref.weights import random
 from tests.hostile.cases import runs
 

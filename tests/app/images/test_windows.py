@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from conformance.scenes import SCENES, render
 from stss.check_sequence.report import check
 from stss.demo import frame_channels
-from stss.images.read_write import encode_rgb, read_channels, read_header, read_rgb, write_rgb
+from stss.images.headers import read_header
+from stss.images.read_write import encode_rgb, read_channels, read_rgb, write_rgb
 from stss.images.windows import PixelWindow, move, union
 from stss.sequence.profiles import load_profile
 from stss.sequence.reader import SequenceOptions, open_sequence

@@ -7,7 +7,8 @@ from click.testing import CliRunner
 from conformance.scenes import DEMO, render
 from stss.cli.main import stss
 from stss.frames.backends import ReferenceBackend
-from stss.images.read_write import read_channels, read_header, write_channels
+from stss.images.headers import read_header
+from stss.images.read_write import read_channels, write_channels
 from stss.sequence.profiles import load_profile
 from stss.weights.file import save
 from stss_ref.weights import Weights, random

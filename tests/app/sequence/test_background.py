@@ -6,7 +6,8 @@ import pytest
 from conformance.scenes import SCENES, render
 from stss.check_sequence.report import check
 from stss.demo import demo_path, frame_channels
-from stss.images.read_write import read_channels, read_header, write_channels
+from stss.images.headers import read_header
+from stss.images.read_write import read_channels, write_channels
 from stss.sequence.background import projection_of
 from stss.sequence.camera import FAR, PLACE
 from stss.sequence.reader import SequenceOptions, open_sequence

@@ -9,7 +9,8 @@ import pytest
 from conformance.scenes import DEMO, render
 from stss.check_sequence.report import check
 from stss.demo import demo_path, frame_channels
-from stss.images.read_write import read_channels, read_header, write_channels
+from stss.images.headers import read_header
+from stss.images.read_write import read_channels, write_channels
 from stss.sequence.antialiasing import judge_sampling
 from stss.sequence.choose_weights import AUTO, choose_weights
 from stss.sequence.reader import SequenceOptions, open_sequence

@@ -7,7 +7,8 @@ import numpy as np
 import OpenImageIO as oiio  # noqa: N813
 import pytest
 
-from stss.images.read_write import read_channels, read_header, write_channels
+from stss.images.headers import read_header
+from stss.images.read_write import read_channels, write_channels
 from stss.sequence.conventions import BACKGROUND_POSITION
 from stss.sequence.profiles import load_profile
 from stss.sequence.reader import open_sequence
