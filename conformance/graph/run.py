@@ -11,7 +11,7 @@ from typing import Any
 import hypothesis
 import hypothesis.errors
 import numpy as np
-from hypothesis import Phase, settings
+from hypothesis import Phase
 
 from conformance.answers.expected import Expected
 from conformance.graph.cases import GraphCase, cases
@@ -29,7 +29,7 @@ from conformance.graph.model import Model
 from conformance.graph.ports import STAGE, GraphPort
 from conformance.graph.rounding import AnyArray, Rounding
 from conformance.judging.findings import DepartureError, Failure, Finding
-from conformance.judging.search import EVERY_CHECK, SHRINK_SECONDS, EnoughError
+from conformance.judging.search import SHRINK_SECONDS, EnoughError, draw_cases
 from conformance.protocol.port import Case, PortError, error_text, foreign_code
 from stss_ground.errors import InputError
 
@@ -138,18 +138,8 @@ def judge_port(
 
 def _draw(search: _Search, most: int, seed: int, fixed: Mapping[str, int]) -> None:
     """Check drawn cases, and make one that fails smaller."""
-
-    @hypothesis.seed(seed)
-    @settings(
-        max_examples=most, phases=[Phase.generate, Phase.shrink], database=None, deadline=None,
-        report_multiple_bugs=False, suppress_health_check=EVERY_CHECK, print_blob=False,
-    )  # fmt: skip
-    @hypothesis.given(cases(search.model, fixed))
-    def each(case: GraphCase) -> None:
-        search.take(case)
-
     try:
-        each()
+        draw_cases(cases(search.model, fixed), search.take, most, seed, [Phase.generate, Phase.shrink])
     except EnoughError:
         pass
     except hypothesis.errors.Flaky:

@@ -19,7 +19,6 @@ from conformance.judging.judge import Body, Judge
 
 Maker = Callable[[np.random.Generator], Any]
 Makers = Sequence[Maker]
-EVERY_CHECK: list[HealthCheck] = [*HealthCheck]
 SHRINK_SECONDS = 60.0
 """Most time for making a failing case smaller; seconds."""
 TELL_SECONDS = 5.0
@@ -69,18 +68,7 @@ class DrawnCases:
 
     def _draw(self, judge: Judge, take: Callable[[Any], None], phases: list[Phase]) -> None:
         """Call ``take`` with the cases, up to the first at which it raises."""
-
-        @hypothesis.seed(judge.seed)
-        @settings(
-            max_examples=judge.tier.slow if self._slow else judge.tier.fast, phases=phases, database=None, deadline=None,
-            report_multiple_bugs=False, suppress_health_check=EVERY_CHECK, print_blob=False,
-        )  # fmt: skip
-        @hypothesis.given(self._strategy)
-        def each(case: Any) -> None:
-            take(case)
-
-        with _no_local_constants():
-            each()
+        draw_cases(self._strategy, take, judge.tier.slow if self._slow else judge.tier.fast, judge.seed, phases)
 
 
 class MadeCases:
@@ -107,6 +95,24 @@ class MadeCases:
 
     def _makers_for(self, judge: Judge) -> Makers:
         return self._makers(judge) if callable(self._makers) else self._makers
+
+
+def draw_cases(
+    strategy: st.SearchStrategy[Any], take: Callable[[Any], None], most: int, seed: int, phases: Sequence[Phase]
+) -> None:
+    """Call ``take`` with ``most`` cases of a strategy, up to the first at which it raises; the same seed gives the same cases."""
+
+    @hypothesis.seed(seed)
+    @settings(
+        max_examples=most, phases=phases, database=None, deadline=None,
+        report_multiple_bugs=False, suppress_health_check=[*HealthCheck], print_blob=False,
+    )  # fmt: skip
+    @hypothesis.given(strategy)
+    def each(case: Any) -> None:
+        take(case)
+
+    with _no_local_constants():
+        each()
 
 
 @contextmanager
