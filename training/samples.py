@@ -14,7 +14,6 @@ import json
 import math
 import os
 import shutil
-import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
@@ -38,6 +37,7 @@ from stss.sequence.reader import SequenceOptions
 from stss_ground.commands import Subcommand
 from stss_ground.errors import InputError
 from stss_ground.option_kinds import ReadPath, Size, WrittenFolder
+from stss_ground.output.write_whole import whole_folder
 from stss_ground.terminal import echo
 from stss_ref.arrays import Array, Image
 from stss_ref.constants import HOLE_FILLS, HoleFill
@@ -224,22 +224,16 @@ def write(
     if not rows:
         raise InputError(f"{folder.name}: no frame has a truth and a history")
     folder.parent.mkdir(parents=True, exist_ok=True)
-    temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
-    try:
-        temporary.chmod(0o755)
+    with whole_folder(folder) as new:
         for name, arrays in (("inputs", [s.inputs for s in rows]), ("truth", [s.truth for s in rows])):
             half: NDArray[np.float16] = np.stack(arrays).astype(np.float16)
             if not np.isfinite(half).all():
                 raise InputError(f"{folder.name}: {name}: not finite as float16")
-            np.save(temporary / f"{name}.npy", half)
+            np.save(new / f"{name}.npy", half)
         index = {"scene": scene, "split": split, "frames": [s.number for s in rows], "kinds": [s.kind.value for s in rows]}
-        (temporary / "index.json").write_text(json.dumps({**index, "hole_fill": hole_fill}))
+        (new / "index.json").write_text(json.dumps({**index, "hole_fill": hole_fill}))
         require_shard(folder, reads)
         shutil.rmtree(folder, ignore_errors=True)
-        temporary.rename(folder)
-    except BaseException:
-        shutil.rmtree(temporary, ignore_errors=True)
-        raise
     return len(rows)
 
 

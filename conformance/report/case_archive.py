@@ -5,8 +5,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import shutil
-import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -20,7 +18,7 @@ from conformance.protocol.job_folder import WEIGHTS, link, write_job
 from conformance.report.stored_cases import StoredCase, StoredTest, stored_tests
 from conformance.report.versions import versions_of_cases
 from stss_ground.errors import InputError
-from stss_ground.output.write_whole import tell_errors
+from stss_ground.output.write_whole import tell_errors, whole_folder
 
 FORMAT = 1
 """Version of the archive; raised when a field of the index, or a file, changes its meaning."""
@@ -57,28 +55,12 @@ def write_cases(
         raise InputError(f"--write-cases {folder}: expected a folder that does not exist yet")
     if not folder.absolute().parent.is_dir():
         raise InputError(f"--write-cases {folder}: expected a folder in a folder that exists")
-    with tell_errors(folder):
-        temporary = Path(tempfile.mkdtemp(prefix=".stss-", dir=folder.absolute().parent))
-    try:
-        with tell_errors(folder):
-            archive = _Archive(temporary)
-            for test in stored_tests(stages, Arithmetic(dtype, winograd), tier, seed):
-                archive.add(test)
-                tell(f"{test.id}: {f'{len(test.cases)} cases' if test.cases is not None else 'a property, not stored'}")
-            request = {
-                "stages": [*stages],
-                "tier": tier.name,
-                "seed": seed,
-                "dtype": dtype,
-                "winograd": winograd,
-            }
-            index = archive.finish(request)
-            temporary.chmod(0o755)
-            temporary.rename(folder)
-    except BaseException:
-        shutil.rmtree(temporary, ignore_errors=True)
-        raise
-    return index
+    with whole_folder(folder) as new, tell_errors(folder):
+        archive = _Archive(new)
+        for test in stored_tests(stages, Arithmetic(dtype, winograd), tier, seed):
+            archive.add(test)
+            tell(f"{test.id}: {f'{len(test.cases)} cases' if test.cases is not None else 'a property, not stored'}")
+        return archive.finish({"stages": [*stages], "tier": tier.name, "seed": seed, "dtype": dtype, "winograd": winograd})
 
 
 class _Archive:

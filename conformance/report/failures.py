@@ -6,7 +6,6 @@ from __future__ import annotations
 import os
 import shlex
 import shutil
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -37,7 +36,7 @@ from conformance.report.picture import draw, png
 from conformance.suite.properties import find_property
 from stss_ground.errors import InputError
 from stss_ground.output.folder import SUMS, move_aside, sums_below
-from stss_ground.output.write_whole import encode, make_folder, tell_errors, write_whole
+from stss_ground.output.write_whole import encode, make_folder, tell_errors, whole_folder, write_whole
 
 Write = Callable[[Path, Case], None]
 """Writes a case into a job's folder."""
@@ -60,22 +59,14 @@ def keep_failure(folder: Path, name: str, failure: Failure, replay: str, write: 
     """
     place = folder / name
     make_folder(folder)
-    with tell_errors(folder):
-        temporary = Path(tempfile.mkdtemp(prefix=".", dir=folder))
-    try:
-        with tell_errors(place):
-            _write_failure(temporary, failure.finding, f"{replay} --replay {shlex.quote(str(place))}", write)
-            (temporary / CASES_FOLDER).mkdir()
-            write_drawn(temporary / CASES_FOLDER, name, [*failure.before, failure.drawn_case])
-            (temporary / SUMS).write_bytes(sums_below(temporary))
-            temporary.chmod(0o755)
-            if os.path.lexists(place) and not _is_ours(place):
-                move_aside(place)
-            shutil.rmtree(place, ignore_errors=True)
-            temporary.rename(place)
-    except BaseException:
-        shutil.rmtree(temporary, ignore_errors=True)
-        raise
+    with whole_folder(place) as new, tell_errors(place):
+        _write_failure(new, failure.finding, f"{replay} --replay {shlex.quote(str(place))}", write)
+        (new / CASES_FOLDER).mkdir()
+        write_drawn(new / CASES_FOLDER, name, [*failure.before, failure.drawn_case])
+        (new / SUMS).write_bytes(sums_below(new))
+        if os.path.lexists(place) and not _is_ours(place):
+            move_aside(place)
+        shutil.rmtree(place, ignore_errors=True)
     return place
 
 

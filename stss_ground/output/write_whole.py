@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Write a file so that it is either as before or complete."""
+"""Write a file or a folder so that it is either as before or complete."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ import errno
 import os
 import re
 import secrets
+import shutil
 import stat
+import tempfile
 import unicodedata
 from collections.abc import Generator
 from contextlib import contextmanager, suppress
@@ -51,6 +53,25 @@ def write_named(path: Path, data: bytes | str) -> None:
                 file.write(data)
         else:
             _write_beside(path.resolve() if path.is_symlink() else path, data)
+
+
+@contextmanager
+def whole_folder(place: Path) -> Generator[Path, None, None]:
+    """A folder beside ``place`` for the block to fill, then renamed to it: by then nothing may be there. After an error there is none.
+
+    Raises:
+        InputError: it can't be made, or not be renamed.
+    """
+    with tell_errors(place):
+        temporary = Path(tempfile.mkdtemp(prefix=".stss-", dir=place.absolute().parent))
+    try:
+        yield temporary
+        with tell_errors(place):
+            temporary.chmod(0o755)
+            temporary.rename(place)
+    except BaseException:
+        shutil.rmtree(temporary, ignore_errors=True)
+        raise
 
 
 def remove_unfinished(folder: Path) -> None:
