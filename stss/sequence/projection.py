@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stss_ref.arrays import Array, Image, Mask
+from stss_ref.sample import Index
 
 PIXELS = 20_000
 """Most pixels that are looked at, evenly spread."""
@@ -62,6 +63,13 @@ class Projection:
             return np.stack([x / w, y / w], axis=-1) * self.half + self.middle, w
 
 
+def some_pixels(mask: Mask) -> tuple[Index, Index]:
+    """Rows and columns of the pixels of a mask (H, W), of `PIXELS` at most."""
+    y, x = np.nonzero(mask)
+    some = slice(None) if len(y) <= PIXELS else np.linspace(0, len(y) - 1, PIXELS).astype(int)
+    return y[some], x[some]
+
+
 def solve_projection(position: Image, mask: Mask) -> Projection | None:
     """Solve for the projection of a frame by least squares over its pixels.
 
@@ -72,10 +80,7 @@ def solve_projection(position: Image, mask: Mask) -> Projection | None:
     Returns:
         The projection; None where too few pixels are seen, or they are of a line or a point.
     """
-    y, x = np.nonzero(mask & np.isfinite(position).all(axis=-1))
-    if len(y) > PIXELS:
-        some = np.linspace(0, len(y) - 1, PIXELS).astype(int)
-        y, x = y[some], x[some]
+    y, x = some_pixels(mask & np.isfinite(position).all(axis=-1))
     if len(y) < MIN_PIXELS:
         return None
     p = position[y, x].astype(np.float64)

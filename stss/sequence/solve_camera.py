@@ -8,12 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from stss.sequence.camera import CameraPose
+from stss.sequence.projection import some_pixels
 from stss_ref.arrays import Array, Image, Plane
 
 ROUNDS = 4
 """Number of fits; each leaves out the pixels that the previous one fits worst: mixtures at silhouettes."""
-PIXELS = 20_000
-"""Most pixels that are used, evenly spread."""
 MIN_PIXELS = 16
 """Fewest pixels that determine the unknowns with a margin."""
 
@@ -46,10 +45,7 @@ def solve_camera(depth: Plane, position: Image, *, ray: bool = False) -> SolvedC
     Returns:
         The camera; None if too few pixels see a surface, or if that surface does not determine it.
     """
-    y, x = np.nonzero(np.isfinite(depth) & np.isfinite(position).all(axis=-1))
-    if len(y) > PIXELS:
-        some = np.linspace(0, len(y) - 1, PIXELS).astype(int)
-        y, x = y[some], x[some]
+    y, x = some_pixels(np.isfinite(depth) & np.isfinite(position).all(axis=-1))
     if len(y) < MIN_PIXELS:
         return None
     d, p = depth[y, x].astype(np.float64), position[y, x].astype(np.float64)
