@@ -26,6 +26,7 @@ from stss.images.headers import MAX_BYTES, MAX_CHANNELS, MAX_SIDE
 from stss.sequence.conventions import linear_depth, motion_in_pixels, world_normal
 from stss.sequence.profiles import BUFFERS, DepthRule, profile_names
 from stss_ground.errors import InputError
+from stss_ref.weights import Weights
 from stss_ref.weights import random as random_weights
 from tests.cl import films
 from tests.test_api import names
@@ -295,7 +296,9 @@ CELLS = {
     'open_backend("cl" or "ref", weights, ...)': lambda: (
         stss.Supersampler(backend=stss.open_backend("ref", "bilinear")) is not None
     ),
-    'Weights(arrays, "detail")': lambda: films.DETAILED.keys() == films.UNREAD.keys(),
+    'Weights(arrays, "detail", "footprint", "reshade")': lambda: (
+        Weights({}, "detail", "footprint", "reshade") == replace(stss.load_weights("realtime").weights, tensors={})
+    ),
     "run(stage, inputs, weights)": None,  # tests/meta: every port
     "stages()": None,
     "(stored - bias) * scale": None,  # below, by key
