@@ -308,9 +308,12 @@ def _other_settings(
         if path.parent != folder.path or path.name == SUMS:
             continue
         try:
-            found = settings_of(read_header(path).attributes, path.suffix[1:], names)
-        except InputError:  # somebody else's, which the folder tells
+            attributes = read_header(path).attributes
+        except InputError:
+            attributes = {}
+        if "stss:key" not in attributes:  # somebody else's, which the folder tells
             continue
+        found = settings_of(attributes, path.suffix[1:], names)
         if other := [f"{key} {found[key]}, not {value}" for key, value in wanted.items() if value not in ("", found[key])]:
             yield path, other[0]
 
