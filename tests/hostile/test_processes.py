@@ -117,7 +117,7 @@ main()
 def test_a_second_interrupt_while_it_ends_says_nothing():
     """What is to be done at the end, as the files of new kernels are remembered, is not broken off."""
     program = """
-import atexit, signal, sys, time
+import atexit, signal, sys
 import stss.cli.main
 from stss.__main__ import main
 
@@ -126,17 +126,17 @@ def command():
 
 def end():
     print("ends", flush=True)
-    time.sleep(1)
-    print("ended", flush=True)
+    print(sys.stdin.readline(), end="", flush=True)
 
 atexit.register(end)
 stss.cli.main.main = command
 main()
 """
-    with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+    pipes = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
+    with subprocess.Popen([sys.executable, "-c", program], **pipes, text=True) as process:
         assert process.stdout.readline() == "ends\n"
         process.send_signal(signal.SIGINT)
-        out, text = process.communicate(timeout=60)
+        out, text = process.communicate("ended\n", timeout=60)
     assert (process.returncode, out, text) == (130, "ended\n", "")
 
 
