@@ -36,7 +36,7 @@ SHARED, COLUMNS = 128, 64
 
 
 class Layers:
-    """Every launch of the network at (height, width), in order, with the buffers between them.
+    """Every launch of the network for one size of frame, in order, with the buffers between them.
 
     A frame whose buffers would exceed the limit is computed in strips: for each of ``strips``, ``place``, ``pack`` (or another way to fill
     ``inputs``), ``run``.
@@ -44,8 +44,7 @@ class Layers:
     Args:
         device: to run on.
         weights: the 92 tensors; tiny numbers are dropped (``stss_cl.liveness.drop_tiny``).
-        height: of the frame; padded to a multiple of 8 inside.
-        width: likewise.
+        size: (H, W) of the frame; padded to multiples of 8 inside.
         precision: see ``stss_cl.options.PRECISIONS``.
         memory_limit: bytes that the buffers may take; None = half of the device's memory.
         keep: every layer keeps its output, with a change map, so that fewer tiles may be run (``stss_cl.skip.partial_network``);
@@ -72,14 +71,13 @@ class Layers:
         self,
         device: Device,
         weights: Weights,
-        height: int,
-        width: int,
+        size: tuple[int, int],
         precision: str,
         memory_limit: int | None = None,
         keep: bool = False,
         every: bool = False,
     ):
-        weights = drop_tiny(weights)
+        weights, (height, width) = drop_tiny(weights), size
         full, columns, dtype = ceil8(height), ceil8(width), dtype_of(precision)
         limit = device.memory // 2 if memory_limit is None else memory_limit
         winograd = precision in ("float32", "half") and tuning_for(device).winograd is not None
@@ -96,7 +94,7 @@ class Layers:
         plan = make_plan(together=local and not winograd and precision in ("float32", "half"))
         if bytes_for(rows, full, columns, dtype, keep=keep, plan=plan) > limit:
             plan = make_plan(together=False)
-        self.device, self.size, self.keep = device, (height, width), keep
+        self.device, self.size, self.keep = device, size, keep
         self.reads_history, self.colors_read = subset.reads_history, colors_read(weights, live)
         self.second_color: SecondColor = weights.second_color
         self.hole_test: HoleTest = weights.hole_test

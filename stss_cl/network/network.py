@@ -90,7 +90,7 @@ class Network:
         """Buffers and launches for one size, from the last call if it was of that size."""
         if self._layers is None or self._layers.size != (height, width):
             self._layers = None  # frees the old buffers before new ones are made
-            self._layers = Layers(self.device, self._weights, height, width, self.precision, self._memory_limit)
+            self._layers = Layers(self.device, self._weights, (height, width), self.precision, self._memory_limit)
         return self._layers
 
     def timings(self) -> dict[str, float]:
@@ -151,5 +151,5 @@ class NetworkStages:
             self._layers = None  # frees the old buffers before new ones are made
             network = self._network
             # A single stage is computed whole, even parts that no other stage reads.
-            self._layers = Layers(network.device, self._weights, height, width, network.precision, every=True)
+            self._layers = Layers(network.device, self._weights, (height, width), network.precision, every=True)
         return self._layers

@@ -324,7 +324,7 @@ class Stream:
             if not self._can_keep(size):
                 self._skip = "off"
                 return None
-            layers = Layers(self.device, self._weights, *size, self.precision, self._memory, keep=True)
+            layers = Layers(self.device, self._weights, size, self.precision, self._memory, keep=True)
             self._caches[extrapolates] = cache = FrameCache(self.device, layers, self._gather)
             cache.load()  # here rather than at the first change
         return self._caches[extrapolates]

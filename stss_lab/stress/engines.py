@@ -99,7 +99,7 @@ class OpenCLEngine:
         """The layers of the last weights, including those that the image does not need."""
         from stss_cl.network.layers import Layers
 
-        return Layers(self._device, self._weights, height, width, self._precision, every=True)  # pyrefly: ignore[bad-argument-type]
+        return Layers(self._device, self._weights, (height, width), self._precision, every=True)  # pyrefly: ignore[bad-argument-type]
 
     def _for(self, weights: Weights) -> Any:
         from stss_cl.network.network import Network

@@ -172,7 +172,7 @@ def test_rounding_stays_within_a_tile(processor, at, gated, stride, seed):
 @ALL_LAYERS
 def test_small_tiles_at_an_eighth(device):
     """Of the whole network's layers; those of the overlap of strips count on it."""
-    layers = Layers(device, random_weights(0), 32, 48, "float32", keep=True)
+    layers = Layers(device, random_weights(0), (32, 48), "float32", keep=True)
     fast = [x for x in layers.launches if x.source.options.get("STRIDE") == 1 and "SIDE" in x.source.options]
     sides = {(x.source.options["SIDE"], x.tiling.rows) for x in fast}
     assert not fast or sides == {(4, 32 // 4), (4, 16 // 4), (4, 8 // 4), (2, 4 // 2)}
@@ -245,8 +245,8 @@ def test_layers_that_nobody_reads_are_left_out(device, keep):
         (without(weights, "lowlevelGated"), history + 1, 1),
         (without(weights, "lowlevelGated", "down3.conv2"), history + 1 + 3, 2),
     ):
-        layers = Layers(device, tensors_of, 16, 24, "float32", keep=keep)
-        assert len(layers.launches) == len(Layers(device, weights, 16, 24, "float32", keep=keep).launches) - left_out
+        layers = Layers(device, tensors_of, (16, 24), "float32", keep=keep)
+        assert len(layers.launches) == len(Layers(device, weights, (16, 24), "float32", keep=keep).launches) - left_out
         assert len(layers.once) == once
         assert layers.reads_history == (tensors_of is weights)
 
@@ -283,7 +283,7 @@ def test_what_is_left_out_changes_no_bit(processor, unoptimised, names, units, k
     inputs = dict(zip(("color", "gbuffer", "mask", "history"), arrays, strict=True))
     with trial(VECTORS[vector]):
         images = [
-            Layers(processor, weights, 16, 24, precision, keep=keep, every=every).run_stage("network", inputs)["image"]
+            Layers(processor, weights, (16, 24), precision, keep=keep, every=every).run_stage("network", inputs)["image"]
             for every in (False, True)
         ]
     np.testing.assert_array_equal(*images)
