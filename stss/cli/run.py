@@ -71,17 +71,7 @@ def run(
     """Make SEQUENCE, a folder or a pattern like a.####.exr, twice as large and twice as fast."""
     console = Terminal(stderr=True)
     frames = reading.open(sequence, partial(track, console=console, text="reading headers"), keep_going=keep_going)
-    if reading.profile is None:
-        _tell(f"profile: {frames.profile.name}, by the channels' names; --profile takes another")
-    for note in frames.alone:
-        _tell(note)
-    if frames.solves_camera:
-        _tell("camera: from position and depth; --camera CSV gives another")
-    if reading.background == "camera":
-        _tell("background: its motion is computed from the camera; the files' motion is not used there")
-    for buffer, value in (("roughness", reading.roughness), ("metallic", reading.metallic)):
-        if value is not None and buffer in frames.first.sources:
-            _tell(f"{buffer}: the files have {frames.first.sources[buffer].names[0]}; --{buffer} is not used")
+    _tell_of_reading(frames, reading)
     options = RunOptions.of(frames.profile, format=suffix, keep_going=keep_going, **others)
     if suffix == "png":
         _tell_of_png(frames, options)
@@ -117,6 +107,20 @@ def run(
     _tell_of_others(summary, out, options)
     _tell(_speed(summary, frames.size, time.monotonic() - start))
     sys.exit(1 if any(frame.fault for frame in summary.frames) else 0)
+
+
+def _tell_of_reading(frames: Sequence, reading: SequenceOptions) -> None:
+    if reading.profile is None:
+        _tell(f"profile: {frames.profile.name}, by the channels' names; --profile takes another")
+    for note in frames.alone:
+        _tell(note)
+    if frames.solves_camera:
+        _tell("camera: from position and depth; --camera CSV gives another")
+    if reading.background == "camera":
+        _tell("background: its motion is computed from the camera; the files' motion is not used there")
+    for buffer, value in (("roughness", reading.roughness), ("metallic", reading.metallic)):
+        if value is not None and buffer in frames.first.sources:
+            _tell(f"{buffer}: the files have {frames.first.sources[buffer].names[0]}; --{buffer} is not used")
 
 
 def _tell_of_png(sequence: Sequence, options: RunOptions) -> None:

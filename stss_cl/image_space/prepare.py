@@ -121,12 +121,13 @@ class Prepare:
         """The launches that compute only dirty tiles, and mark those that changed."""
         return self._make(marks=True)
 
-    def _make(self, *, marks: bool) -> _Launches:
-        inputs, (height, width) = self.inputs, (self.height, self.width)
-        options = {**storage_options(self.device, inputs.input.dtype), **marking(self.device, marks)}
-        gather = {"GATHER": f"gather_{self._gather}", "LONGEST": self._gather == "longest", "EIGHT_PIXELS": self.device.is_cpu}
+    def _programs(self, *, marks: bool) -> tuple[Program, Program]:
+        """Those of frame.cl and downsample_8.cl."""
+        options = {**storage_options(self.device, self.inputs.input.dtype), **marking(self.device, marks)}
         frame_options = {
-            **gather,
+            "GATHER": f"gather_{self._gather}",
+            "LONGEST": self._gather == "longest",
+            "EIGHT_PIXELS": self.device.is_cpu,
             **options,
             **hole_options(self._test),
             "STREAM": self.device.is_pocl_processor,
@@ -134,7 +135,11 @@ class Prepare:
             "RESHADE": self._reshades,
         }
         frame = program(self.device, "frame.cl", frame_options)
-        eighth = program_for(self.device, "downsample_8.cl", {"MASK": "uchar", **options})
+        return frame, program_for(self.device, "downsample_8.cl", {"MASK": "uchar", **options})
+
+    def _make(self, *, marks: bool) -> _Launches:
+        inputs, (height, width) = self.inputs, (self.height, self.width)
+        frame, eighth = self._programs(marks=marks)
         changes = inputs.changes if marks else None
         dirty, maps, eighth_map = (None, None, None) if changes is None else (self.dirty, changes.whole, changes.buffers[2])
         size = {"height": height, "width": width}
