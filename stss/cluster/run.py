@@ -14,6 +14,7 @@ from stss.cluster.workers import Workers, connect
 from stss.run.frame_job import FrameReport, already_written, describe, keep_outside, keys_of, require_one_run
 from stss.run.job import REFUSAL, RunPlan, Summary, plan_run
 from stss.run.options import RunOptions
+from stss.run.window import Keys
 from stss.sequence.reader import Sequence as Frames
 from stss_ground.errors import InputError
 from stss_ground.version import VERSION
@@ -133,14 +134,16 @@ class _Run:
         if who.error:
             raise InputError(f"--cluster: a worker cannot begin: {who.error}")
         self._backend = who.backend
-        todo = [number for number in self._run_plan.numbers if not self._is_kept(number, who)]
+        todo = [*self._run_plan.numbers]
+        if self._work.options.resume:  # a key is a digest of files, which may be terabytes
+            work, options = self._work, self._work.options
+            settings = describe(work.sequence, options, who.method, who.backend, who.weights)
+            keys = keys_of(work.sequence, work.rendered, options, settings, work.engine.window)
+            todo = [number for number in todo if not self._is_kept(number, keys)]
         self._chunks = cut_into_chunks(todo, self._workers.count(), self._work.sequence.size)
 
-    def _is_kept(self, number: int, who: Introduction) -> bool:
-        work, options, folder = self._work, self._work.options, self._run_plan.folder
-        settings = describe(work.sequence, options, who.method, who.backend, who.weights)
-        keys = keys_of(work.sequence, work.rendered, options, settings, work.engine.window)
-        kind = already_written(folder, options, number, keys.of(number))
+    def _is_kept(self, number: int, keys: Keys) -> bool:
+        kind = already_written(self._run_plan.folder, self._work.options, number, keys.of(number))
         if kind is not None:
             self._report(FrameReport(number, kind, "kept"))
         return kind is not None

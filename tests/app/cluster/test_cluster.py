@@ -136,6 +136,22 @@ def test_resume_keeps_what_is_right_and_makes_the_rest(threads, frames, tmp_path
         assert files(out) == whole
 
 
+@pytest.mark.parametrize("resume", [False, True])
+def test_the_writing_process_reads_a_frame_once_or_not_at_all(threads, frames, monkeypatch, tmp_path, resume):
+    """An output depends on six frames, but each has one digest, for which only `--resume` asks. The first frame's header is read, too."""
+    threads()
+    reads, open_file = [], Path.open
+
+    def noting(self, *arguments, **how):
+        if self.parent == frames.path and threading.current_thread() is threading.main_thread():
+            reads.append(self)
+        return open_file(self, *arguments, **how)
+
+    monkeypatch.setattr(Path, "open", noting)
+    on_cluster(frames, tmp_path / "out", resume=resume)
+    assert sorted(reads) == sorted([*(frames.images if resume else ()), frames.images[0]])
+
+
 def test_overwrite_of_some_frames_leaves_the_others(threads, frames, tmp_path):
     threads()
     out = tmp_path / "out"
