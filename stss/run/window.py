@@ -16,6 +16,7 @@ from stss.images.headers import Value
 from stss.run.options import RunOptions
 from stss.sequence.reader import Sequence
 from stss_ground.errors import InputError
+from stss_ground.output.folder import digest_of
 
 
 class Window:
@@ -86,12 +87,8 @@ class Keys:
 
     def _digest(self, path: Path) -> str:
         if path not in self._digests:
-            digest = hashlib.sha256()
             try:
-                with path.open("rb") as file:
-                    while block := file.read(1 << 20):
-                        digest.update(block)
+                self._digests[path] = digest_of(path)
             except OSError:
-                digest.update(b"unreadable")  # the step that needs its pixels reports it
-            self._digests[path] = digest.hexdigest()
+                self._digests[path] = "unreadable"  # the step that needs its pixels reports it
         return self._digests[path]
