@@ -25,8 +25,9 @@ from .passes import COLUMNS, changed, layer_of, set_up, survey, write_camera
 GBUFFER_SAMPLES = 4
 """Samples of frames that are not rendered: base colour and normals need few, light needs none."""
 HARMLESS = {
-    "--backend", "--cuts", "--depth", "--device", "--format", "--frames", "--keep-going", "--memory-limit",
-    "--metallic", "--non-finite", "--precision", "--roughness", "--skip", "--transfer", "--weights",
+    "--accumulate", "--also", "--backend", "--cuts", "--depth", "--device", "--format", "--frames", "--keep-going",
+    "--memory-limit", "--metallic", "--no-accumulate", "--non-finite", "--precision", "--roughness", "--skip", "--transfer",
+    "--weights",
 }  # fmt: skip
 """Options of ``stss run`` that another person's scene may name, without a path: they read and write no further file."""
 PACKAGES = Path(__file__).parent / "packages"

@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from stss.cli.run import run
 from stss.images.headers import read_header
 from stss.images.read_write import read_channels, read_rgb
 from stss_ground.version import VERSION
@@ -102,6 +103,14 @@ def test_a_scene_of_a_stranger_runs_no_program_and_names_no_file(film):
     tree = ast.parse((ROOT / "blender" / "__init__.py").read_text())
     settings = next(node for node in tree.body if isinstance(node, ast.ClassDef) and node.name == "Settings")
     assert [line.target.id for line in settings.body if isinstance(line, ast.AnnAssign)] == ["folder", "options"]
+
+
+def test_each_option_of_a_run_is_harmless_or_has_a_reason_not_to_be(film):
+    """A new one is among the first, or here."""
+    with_a_path_or_an_address = {"--camera", "--cluster", "--out", "--profile"}
+    of_the_extension = {"--background", "--overwrite", "--rendered", "--resume"}
+    names = {name for each in run.params for name in (*each.opts, *each.secondary_opts) if name.startswith("--")}
+    assert names == film.HARMLESS | with_a_path_or_an_address | of_the_extension
 
 
 @pytest.mark.skipif(sys.version_info < (3, 11), reason="Blender's Python is 3.11 or newer, and knows -P")
