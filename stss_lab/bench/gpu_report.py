@@ -32,7 +32,8 @@ from stss_ground.version import VERSION
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("numpy", "pyopencl", "torch", "onnxruntime", "onnxruntime-gpu", "tensorrt")
 TESTS = tuple(
-    f"tests/cl/test_{n}.py" for n in ("device", "conv_gpu", "network", "image_stages", "frame", "combinations", "stream")
+    f"tests/cl/test_{n}.py"
+    for n in ("device", "conv_gpu", "network", "image_stages", "frame", "output", "backend", "combinations", "stream")
 )
 """Tests, in the order that shows a fault soonest; tests beyond the time limit do not run."""
 
@@ -190,7 +191,6 @@ def _run(step: Step, log: Path, device: str) -> StepResult:
         return StepResult(step.name, "skipped", 0.0, step.reason)
     start = time.monotonic()
     with log.open("w+b", buffering=0) as out:
-        # A benchmark's own processes would go on using the device after it.
         env = {**os.environ, "STSS_DEVICE": device, "COLUMNS": "160"}
         ending = run_alone(step.command, out, out, step.limit, folder=ROOT, env=env)
     outcome: Outcome = "passed" if ending.status == 0 else "failed"
