@@ -22,7 +22,7 @@ from stss.weights.file import load, save
 from stss_ground.errors import InputError
 from stss_ground.output.places import require_places
 from stss_ref.constants import HoleFill
-from stss_ref.weights import SECOND_COLORS, SecondColor
+from stss_ref.weights import SECOND_COLORS, SecondColor, Weights
 from training import checkpoint
 from training.augment import AUGMENTS, Augment
 from training.checkpoint import State
@@ -241,7 +241,7 @@ def digest_of(shards: Sequence[Shard]) -> str:
     return f"{len(shards)} shards, {sha256(names.encode()).hexdigest()[:8]}"
 
 
-def options() -> argparse.ArgumentParser:
+def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     """The command line."""
     parser = argparse.ArgumentParser(prog="python -m training.train", description=__doc__)
     parser.add_argument("data", type=Path, help="folder of shards, made by python -m training.samples")
@@ -282,30 +282,19 @@ def options() -> argparse.ArgumentParser:
     parser.add_argument("--half", choices=("auto", "on", "off"), default="auto", help="bfloat16; auto: on GPUs")
     parser.add_argument("--threads", type=int, default=0, help="threads of the CPU; 0: PyTorch's choice")
     parser.add_argument("--resume", action="store_true", help="continue from the run's checkpoint, if there is one")
-    return parser
+    return parser.parse_args(arguments)
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """``python -m training.train``."""
-    args = options().parse_args(arguments)
-    if args.threads:
-        torch.set_num_threads(args.threads)
-    if args.compile and shutil.which(os.environ.get("CXX", "g++")) is None:
-        raise InputError("--compile: expected a C++ compiler, g++ or what CXX names; found none")
-    if args.initial is not None and not args.resume:
-        for path in filter(Path.exists, (args.out / name for name in FILES)):
-            require_places({"--out": path}, [Path(args.initial)])
-    device = device_of(args.device)
-    initial = None if args.initial is None else load(args.initial).weights
-    shards = load_shards(args.data, initial)
+def settings_of(args: argparse.Namespace, initial: Weights | None, shards: Sequence[Shard], device: torch.device) -> Settings:
+    """The run's settings: the command line's, and what the initial weights and the shards say."""
     half = args.half == "on" or (args.half == "auto" and device.type == "cuda")
-    settings = Settings(
-        args.crop,
-        args.batch,
-        args.rate,
-        args.warm_up,
-        args.seed,
-        half,
+    return Settings(
+        crop=args.crop,
+        batch=args.batch,
+        rate=args.rate,
+        warm_up=args.warm_up,
+        seed=args.seed,
+        half=half,
         young=float(args.initial is None),
         squares=args.squares,
         history=args.history,
@@ -321,6 +310,22 @@ def main(arguments: Sequence[str] | None = None) -> None:
         steady=args.steady,
         data=digest_of(shards),
     )
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """``python -m training.train``."""
+    args = parse(arguments)
+    if args.threads:
+        torch.set_num_threads(args.threads)
+    if args.compile and shutil.which(os.environ.get("CXX", "g++")) is None:
+        raise InputError("--compile: expected a C++ compiler, g++ or what CXX names; found none")
+    if args.initial is not None and not args.resume:
+        for path in filter(Path.exists, (args.out / name for name in FILES)):
+            require_places({"--out": path}, [Path(args.initial)])
+    device = device_of(args.device)
+    initial = None if args.initial is None else load(args.initial).weights
+    shards = load_shards(args.data, initial)
+    settings = settings_of(args, initial, shards, device)
     state = start(settings, device, args.initial)
     path = args.out / "state.safetensors"
     if path.exists():

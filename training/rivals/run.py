@@ -233,8 +233,8 @@ def open_upsampler(method: str, options: argparse.Namespace) -> Upsampler | Taau
     return WgslUpscaler(path) if method == "wgsl" else Nss(path)
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """``python -m training.rivals.run``."""
+def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
+    """The command line."""
     parser = argparse.ArgumentParser(prog="python -m training.rivals.run", description=__doc__)
     parser.add_argument("sequence", type=Path)
     parser.add_argument("truth", type=Path)
@@ -252,7 +252,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--rendered", choices=("even", "odd", "all"))
     parser.add_argument("--frames", type=int, nargs=2, metavar=("FIRST", "LAST"))
     parser.add_argument("--full", action="store_true", help="FLIP, VMAF, ColorVideoVDP and LPIPS too")
-    args = parser.parse_args(arguments)
+    return parser.parse_args(arguments)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """``python -m training.rivals.run``."""
+    args = parse(arguments)
     networks = open_networks(args)
     files, loaded = open_sequence(args.sequence, camera=args.camera), load(args.weights)
     span = args.frames and tuple(args.frames)
