@@ -60,7 +60,7 @@ def _precision(stage: str, layer: str, what: str, name: str) -> Mistake:
 
 PLACES = (
     *((what, name) for name in ("half precision", "bfloat16") for what in ("input", "output", "weights")),
-    ("factors", "tf32"),
+    *(("factors", name) for name in ("bfloat16", "tf32")),
 )
 PRECISION = tuple(_precision(layer.stage, layer.name, what, name) for layer in LAYERS for what, name in PLACES)
 """They explain wrong answers, and are not among the mistakes that the quick tier is tried on one by one."""

@@ -13,13 +13,14 @@ from conformance.explain.diagnosis import diagnose
 from conformance.judging.findings import DepartureError
 from conformance.judging.judge import Judge, Tier
 from conformance.mistakes import MISTAKES, find, of_stage
-from conformance.mistakes.precision import rounded_at
+from conformance.mistakes.precision import FORMATS, rounded_at
 from conformance.protocol.reference_copy import half, load, put, returns
 from conformance.report.failures import keep_failure
 from conformance.suite.properties import find_property
 from conformance.suite.run_suite import run_suite
 from stss.port import ReferencePort
 from tests.meta import run_names
+from tests.meta.right_ports import add_pairwise, convolved
 from tests.meta.samples import samples
 from tests.tiers import every, thorough
 
@@ -104,6 +105,25 @@ def test_neighbours_are_told_apart(name):
 def test_the_place_of_fewer_bits_is_named(what):
     port = load("planted", *rounded_at("latentEncoder.2", what, half))
     assert f"half precision at the {what} of latentEncoder.2" in explain(port, "erm")
+
+
+@pytest.mark.parametrize(("stage", "name"), [("history", "bfloat16"), ("encoder", "bfloat16"), thorough("encoder", "tf32")])
+def test_fewer_bits_are_named_whatever_the_order_of_sums(stage, name):
+    """As libraries have them by default on matrix units. An activation here and there rounds to another number than in the planted one."""
+    rounded = FORMATS[name]
+    port = load("planted", put("conv.conv", lambda x, weight, *rest: convolved(add_pairwise, rounded(x), rounded(weight), *rest)))
+    assert explain(port, stage) == f"looks like: {name} at the factors of every layer"
+
+
+def test_products_of_parts_have_no_name_of_fewer_bits():
+    """Three products of bfloat16 for one: wrong, but by none of the formats that are known."""
+    first = FORMATS["bfloat16"]
+
+    def conv(x, weight, bias, stride=1):
+        rest = [(first(x), weight - first(weight)), (x - first(x), first(weight)), (first(x), first(weight))]
+        return bias + sum(convolved(add_pairwise, first(a), first(b), bias * 0, stride) for a, b in rest)
+
+    assert "looks like none" in explain(load("planted", put("conv.conv", conv)), "history")
 
 
 def test_a_mistake_without_effect_explains_nothing():
