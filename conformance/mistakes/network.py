@@ -262,6 +262,12 @@ def _down(name: str, what: str, rows: Callable[[Any], Any]) -> Mistake:
     return _erm(name, what, put("resample.downsample_8", lambda x: rows(rows(x).swapaxes(0, 1)).swapaxes(0, 1)))
 
 
+def _tent(x: Any) -> Any:
+    """(n, ...) to (n / 8, ...): means weighted by a triangle, 8 pixels to each side of the centre."""
+    weights = np.maximum(0, 1 - np.abs(np.arange(len(x)) - (8 * np.arange(len(x) // 8)[:, None] + 3.5)) / 8)
+    return np.tensordot((weights / weights.sum(axis=1, keepdims=True)).astype(x.dtype), x, 1)
+
+
 ERM = (
     _erm("window_3", "3 x 3", put("erm.WINDOW", 3)),
     _erm("window_7", "7 x 7", put("erm.WINDOW", 7)),
@@ -322,6 +328,7 @@ ERM = (
         wrap("erm.downsample_8", lambda right, x: x[3::8, 3::8] if x.shape[-1] == 1 else right(x)),
     ),
     _down("down_mean", "the mean of the 8 x 8 block", lambda x: x.reshape(len(x) // 8, 8, *x.shape[1:]).mean(axis=1)),
+    _down("down_antialias", "a tent of 16 pixels, as resizing with antialiasing has it", _tent),
 )
 
 
