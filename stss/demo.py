@@ -90,34 +90,15 @@ def demo(
     own_weights = None if weights == AUTO else load(weights)  # their errors must come before the rendering
     folders = [folder_of(out / "output"), folder_of(out / "bilinear"), page_folder(out / "page.html")]
     require_places(reads=[Path(weights)], folders=[_folder(out), *folders])
-    start, end = Event(), Event()
 
     def tell(line: str) -> None:
         console.print(line, soft_wrap=True, highlight=False, markup=False)
 
-    def render_all() -> Sequence:
-        with show_progress(console, frames, text="rendering") as advance:
+    def test_device() -> None:
+        if backend == "cl":
+            _test_device(own_weights, compute, tell)
 
-            def go_on(number: int) -> None:
-                del number
-                if end.is_set():
-                    raise CancelledError
-                start.set()
-                advance("rendering")
-
-            write_demo_sequence(out, frames, size, overwrite=overwrite, on_frame=go_on)
-        return open_sequence(out / "frames", "stss")
-
-    with ThreadPoolExecutor(1) as pool:
-        rendering = pool.submit(render_all)
-        rendering.add_done_callback(lambda _: start.set())
-        try:
-            start.wait()  # an error of the first frame is told at once
-            if backend == "cl" and not rendering.done():
-                _test_device(own_weights, compute, tell)
-            sequence = rendering.result()
-        finally:
-            end.set()
+    sequence = _render(out, frames, size, console, overwrite=overwrite, meanwhile=test_device)
     loaded = choose_weights(weights, sequence, tell)
 
     def score(name: str, method: LoadedWeights, engine: Backend) -> Comparison:
@@ -136,6 +117,37 @@ def demo(
     comparisons["output"] = score("output", loaded, open_backend(backend, loaded, compute, tell=tell))
     _write_page(out, sequence, comparisons)
     console.print(f"page to look at: {out / 'page.html'}", soft_wrap=True, highlight=False, markup=False)
+
+
+def _render(
+    out: Path, frames: int, size: tuple[int, int], console: Console, *, overwrite: bool, meanwhile: Callable[[], None]
+) -> Sequence:
+    """Write the scene's frames and truths, and open the frames; ``meanwhile`` runs beside the writing, from the first frame on."""
+    start, end = Event(), Event()
+
+    def render() -> Sequence:
+        with show_progress(console, frames, text="rendering") as advance:
+
+            def go_on(number: int) -> None:
+                del number
+                if end.is_set():
+                    raise CancelledError
+                start.set()
+                advance("rendering")
+
+            write_demo_sequence(out, frames, size, overwrite=overwrite, on_frame=go_on)
+        return open_sequence(out / "frames", "stss")
+
+    with ThreadPoolExecutor(1) as pool:
+        rendering = pool.submit(render)
+        rendering.add_done_callback(lambda _: start.set())
+        try:
+            start.wait()  # an error of the first frame is told at once
+            if not rendering.done():
+                meanwhile()
+            return rendering.result()
+        finally:
+            end.set()
 
 
 def _write_page(out: Path, sequence: Sequence, comparisons: dict[str, Comparison]) -> None:
