@@ -39,6 +39,8 @@ ALIKE = 0.99
 """Share of the wrong numbers that a mistake has to explain."""
 NEARER = 0.5
 """Distance of the port's number from the mistake's, at most; as a part of its distance from the truth."""
+AS_GOOD = 2.0**-10
+"""Distance, likewise, of numbers that are the same but for rounding, however small the bound: that of a copy is 0."""
 AS_NEAR = 2.0
 """A mistake that is farther from the numbers than the nearest one by more than this factor is not named."""
 
@@ -178,7 +180,7 @@ def _distance(mistake: Mistake, answered: _Answer) -> float:
         if together <= (NEARER if len(distances) == 1 else 1):
             distances.append(together)
             continue
-        explained = alike & (expected.ratios(answer[name]) > 1) & (part <= NEARER)
+        explained = (alike | (part <= AS_GOOD)) & (expected.ratios(answer[name]) > 1) & (part <= NEARER)
         if any(where.any() and holds[where].mean() < ALIKE for where, holds in ((wrong, explained), (~wrong, alike))):
             return np.inf
         if wrong.any():

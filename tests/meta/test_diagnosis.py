@@ -20,7 +20,7 @@ from conformance.suite.properties import find_property
 from conformance.suite.run_suite import run_suite
 from stss.port import ReferencePort
 from tests.meta import run_names
-from tests.meta.right_ports import add_pairwise, convolved
+from tests.meta.right_ports import add_pairwise, convolved, fused_lerp
 from tests.meta.samples import samples
 from tests.tiers import every, thorough
 
@@ -124,6 +124,12 @@ def test_products_of_parts_have_no_name_of_fewer_bits():
         return bias + sum(convolved(add_pairwise, first(a), first(b), bias * 0, stride) for a, b in rest)
 
     assert "looks like none" in explain(load("planted", put("conv.conv", conv)), "history")
+
+
+def test_a_mistake_is_named_in_other_arithmetic():
+    """What should be copied has hardly a bound, and here it is read between pixels, by fused multiply-adds."""
+    mistake = find("occlusion_warp_valid_inverted")
+    assert mistake.what in explain(load("planted", *mistake.plants, put("sample.lerp", fused_lerp)), "occlusion_warp")
 
 
 def test_a_mistake_without_effect_explains_nothing():
