@@ -18,11 +18,11 @@ from pathlib import Path
 import torch
 from torch import nn
 
-from stss.weights.file import load, save
+from stss.weights.file import ALIASED, MADE_FOR, LoadedWeights, load, save
 from stss_ground.errors import InputError
 from stss_ground.output.places import require_places
 from stss_ref.constants import HoleFill
-from stss_ref.weights import SECOND_COLORS, SecondColor, Weights
+from stss_ref.weights import SECOND_COLORS, SecondColor
 from training import checkpoint
 from training.augment import AUGMENTS, Augment
 from training.checkpoint import State
@@ -50,6 +50,7 @@ class Settings:
     ``compiled``: whether a step is compiled, which changes its rounding.
     ``second_color``, ``hole_fill``: see `stss_ref.frame.prepare`; the samples have the latter.
     ``steady``: see `training.step.Aims`.
+    ``aliased``: whether the run starts from weights whose file says that they are made for aliased frames; its own then say so, too.
     """
 
     crop: int
@@ -71,6 +72,7 @@ class Settings:
     second_color: SecondColor = "newest"
     hole_fill: HoleFill = "occlusion_warp"
     steady: float = 0.0
+    aliased: bool = False
     data: str = ""
 
 
@@ -167,6 +169,8 @@ def keep(out: Path, state: State, means: Means) -> None:
         {"steps": str(state.step), "validation": json.dumps(means)},
     )
     metadata["settings"] = json.dumps(state.settings)
+    if state.settings["aliased"]:
+        metadata[MADE_FOR] = ALIASED
     if state.step:
         save(out / "weights.safetensors", weights, metadata)
     mean = (means["SF"] + means["EF"]) / 2
@@ -285,7 +289,9 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     return parser.parse_args(arguments)
 
 
-def settings_of(args: argparse.Namespace, initial: Weights | None, shards: Sequence[Shard], device: torch.device) -> Settings:
+def settings_of(
+    args: argparse.Namespace, initial: LoadedWeights | None, shards: Sequence[Shard], device: torch.device
+) -> Settings:
     """The run's settings: the command line's, and what the initial weights and the shards say."""
     half = args.half == "on" or (args.half == "auto" and device.type == "cuda")
     return Settings(
@@ -305,9 +311,10 @@ def settings_of(args: argparse.Namespace, initial: Weights | None, shards: Seque
         holes=args.holes,
         augment=args.augment,
         compiled=args.compile,
-        second_color=args.second_color or ("newest" if initial is None else initial.second_color),
+        second_color=args.second_color or ("newest" if initial is None else initial.weights.second_color),
         hole_fill=shards[0].hole_fill,
         steady=args.steady,
+        aliased=initial is not None and initial.made_for_aliased,
         data=digest_of(shards),
     )
 
@@ -323,8 +330,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         for path in filter(Path.exists, (args.out / name for name in FILES)):
             require_places({"--out": path}, [Path(args.initial)])
     device = device_of(args.device)
-    initial = None if args.initial is None else load(args.initial).weights
-    shards = load_shards(args.data, initial)
+    initial = None if args.initial is None else load(args.initial)
+    shards = load_shards(args.data, initial and initial.weights)
     settings = settings_of(args, initial, shards, device)
     state = start(settings, device, args.initial)
     path = args.out / "state.safetensors"

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stss.weights.file import load, save
+from stss.weights.file import ALIASED, MADE_FOR, load, save
 from stss_cl.liveness import find_live
 from stss_ground.errors import InputError
 from stss_ref.schedule import FrameKind
@@ -58,6 +58,16 @@ def test_the_best_weights_are_never_worse_than_those_at_the_start(data, tmp_path
     assert best.metadata["steps"] == "0"
     assert all(np.array_equal(best.weights[name], array) for name, array in first.weights.items())
     assert last.label != best.label
+
+
+@pytest.mark.parametrize("made_for", [{MADE_FOR: ALIASED}, {}])
+def test_weights_are_made_for_the_frames_that_the_initial_ones_are_made_for(data, tmp_path, made_for):
+    """Without the entry `stss run` does not mix images: weights of one game, trained from `realtime`, would flicker."""
+    save(tmp_path / "before.safetensors", random(0), made_for)
+    for steps, more in ((1, []), (2, ["--resume"])):
+        run(data, tmp_path / "run", steps, "--initial", str(tmp_path / "before.safetensors"), *more)
+    trained = [load(tmp_path / "run" / f"{name}.safetensors") for name in ("best", "weights")]
+    assert [each.made_for_aliased for each in trained] == [bool(made_for)] * 2
 
 
 def test_samples_have_the_fill_that_the_weights_name(data, tmp_path):
