@@ -22,7 +22,8 @@ FURTHER = {"trained": '[{"crop": "{\\"side\\": 64}"}, "weights", "paper, detail,
 ALIGNED = 8
 """The header's length is a multiple of this, as the library's is, so that the numbers are aligned."""
 DRAWN_FROM = "latentEncoder.2.weight"
-"""The tensor that decides the layout of a file: weights that differ in another tensor have the same header, as files of one trainer do."""
+"""The tensor that decides the layout of a file: weights that differ in another tensor have the same header, as files of one trainer do, and
+those that differ in their metadata the same numbers behind it."""
 MORE = 0, 0, 1, 700
 """Choices for the number of surplus spaces at the header's end, in units of the alignment."""
 
@@ -58,8 +59,7 @@ def shuffle(weights: Weights) -> Weights:
 
 
 def _generator(weights: Weights) -> np.random.Generator:
-    metadata = repr(sorted(format_metadata(weights).items())).encode()
-    return np.random.default_rng(crc32(np.ascontiguousarray(weights[DRAWN_FROM]).data, crc32(metadata)))
+    return np.random.default_rng(crc32(np.ascontiguousarray(weights[DRAWN_FROM]).data))
 
 
 def _in_any_order(rng: np.random.Generator, entries: dict[str, Any]) -> dict[str, Any]:

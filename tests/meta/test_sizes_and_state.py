@@ -139,7 +139,7 @@ KEYS = {
     "the newest frame": lambda inputs, _: [array[0] if array.ndim == 4 else array for array in inputs.values()],
     "no weights": lambda inputs, weights: [*inputs.values()],
     "the first weights": lambda inputs, weights: [*inputs.values(), weights[min(weights)]],
-    "weights without their metadata": lambda inputs, weights: [*inputs.values(), *(weights[name] for name in sorted(weights))],
+    "all numbers of the weights' file": lambda inputs, weights: [*inputs.values(), *weights.values()],
     "the header of the weights' file": lambda inputs, weights: [*inputs.values(), np.frombuffer(header_of(weights), np.uint8)],
     "sums of weights": lambda inputs, weights: [
         *inputs.values(),
@@ -165,7 +165,7 @@ CACHING_PORTS = [
     *(("history", key) for key in ("first rows", "last rows", "sums", "every second pixel", "no weights", "sums of weights")),
     *((stage, "the header of the weights' file") for stage in NETWORKS),
     *(("erm", key) for key in ("the first array", "the last array", "the first weights")),
-    *(("frame", key) for key in ("first rows", "the newest frame", "weights without their metadata")),
+    *(("frame", key) for key in ("first rows", "the newest frame", "all numbers of the weights' file")),
     *(("warp", key) for key in ("sums", "the last array")),
     *(("holes", key) for key in ("first rows", "the last array")),
     ("rrm", "borders"),
