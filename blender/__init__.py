@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Generator
 from pathlib import Path
 from typing import Any
@@ -33,7 +32,7 @@ class Preferences(bpy.types.AddonPreferences):
 def chosen_command(context: Any) -> list[str]:
     """The words of the command in the preferences; empty: none is there."""
     addon = context.preferences.addons.get(__package__)
-    return [] if addon is None else shlex.split(addon.preferences.command)
+    return [] if addon is None else film.split_words(addon.preferences.command)
 
 
 def folder_of(path: str) -> Path:

@@ -35,6 +35,8 @@ PACKAGES = Path(__file__).parent / "packages"
 SUFFIXES = {".exr", ".png"}
 POLL = 0.1
 """Seconds between two looks at the program, in which Blender does not draw."""
+NO_WINDOW = getattr(subprocess, "CREATE_NO_WINDOW", 0)
+"""On Windows a program that a window starts opens a console otherwise."""
 MARK = "stss-film"
 """Name of the file that marks a folder of this extension."""
 
@@ -186,6 +188,15 @@ def _has_plan(folder: Path, plan: str) -> bool:
     return text == before
 
 
+def split_words(command: str) -> list[str]:
+    """The words of a command; on Windows a backslash is a letter of a path. ValueError: a quote is not closed."""
+    words = shlex.shlex(command, posix=True)
+    words.whitespace_split, words.commenters = True, ""
+    if os.name == "nt":
+        words.escape = ""
+    return list(words)
+
+
 def harmless(options: str) -> list[str]:
     """The words of the options.
 
@@ -193,7 +204,7 @@ def harmless(options: str) -> list[str]:
         FilmError: one is not of `HARMLESS`, or names a path.
     """
     try:
-        words = shlex.split(options)
+        words = split_words(options)
     except ValueError as error:
         raise FilmError(f"Options: {error}") from error
     for word in words:
@@ -323,7 +334,7 @@ def supersample(
     environment = os.environ if command else {**os.environ, "PYTHONPATH": str(PACKAGES)}
     before = _times(out)
     with tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as messages:
-        process = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=messages, env=environment)
+        process = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=messages, env=environment, creationflags=NO_WINDOW)
         try:
             while process.poll() is None:
                 count = len(_times(out).items() - before.items())

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import faulthandler
-import shlex
 import sys
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -24,6 +23,7 @@ from stss_ground.option_kinds import MAX_SECONDS, MAX_SEED, Names, Number, Progr
 from stss_ground.optional import require as require_package
 from stss_ground.optional import require_own_conformance
 from stss_ground.output.places import require_places
+from stss_ground.shell import join_words
 from stss_ground.terminal import echo
 from stss_ground.version import VERSION
 
@@ -218,7 +218,7 @@ class PortChoice:
         words += ["--dtype", self.dtype] if self.dtype is not None else []
         if self.weights_version is not None and onnx is None:
             words += ["--weights-version", str(self.weights_version)]
-        return shlex.join([*words, *(["--winograd"] if self.winograd else [])])
+        return join_words([*words, *(["--winograd"] if self.winograd else [])])
 
 
 @dataclass(frozen=True)
@@ -275,7 +275,7 @@ def _judge_model(
         except InputError as error:
             echo(f"not kept: {error}; --failures takes another folder")
         else:
-            echo(f"{command} --replay {shlex.quote(str(folder))}")
+            echo(f"{command} --replay {join_words([str(folder)])}")
     write_files(outcome, model, port, options, folder, *reports)
     return 0 if outcome.passes else 1
 

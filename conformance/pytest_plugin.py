@@ -7,7 +7,6 @@ Pytest finds it by the suite's ``conftest.py`` where the suite is given as a fol
 
 from __future__ import annotations
 
-import shlex
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +22,7 @@ from conformance.report.failures import keep_failure
 from conformance.suite.run_suite import JUDGED, SUITE, SuitePlugin, require_known
 from stss_ground.errors import InputError
 from stss_ground.optional import require
+from stss_ground.shell import join_words
 
 FAILURES = Path("conform-failures")
 NAME = "stss-suite"
@@ -60,12 +60,12 @@ def pytest_configure(config: pytest.Config) -> None:
         raise pytest.UsageError(str(error)) from error
     judge = Judge(port, TIERS[options.tier], options.seed, abilities=abilities)
     words = ("--port", options.port) if options.port is not None else ("--exec", options.exec)
-    again = shlex.join(["stss", "conform", *words])
+    again = join_words(["stss", "conform", *words])
 
     def keep(result: TestResult, _: int) -> None:
         if result.outcome in ("failed", "error") and result.record.failure is not None:
             folder = keep_failure(FAILURES, result.id, result.record.failure, again)
-            result.message += f"\n{again} --replay {shlex.quote(str(folder))}"
+            result.message += f"\n{again} --replay {join_words([str(folder)])}"
 
     # The user's own settings for warnings do not count: wrong numbers give some. Whole weights are not printed.
     config.addinivalue_line("filterwarnings", "ignore")

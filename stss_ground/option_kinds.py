@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import math
 import re
-import shlex
 import shutil
 from pathlib import Path
 from typing import Any
 
 import click
+
+from stss_ground.shell import split_words
 
 MAX_SEED = 2**32 - 1
 MAX_SECONDS = 7 * 24 * 3600
@@ -131,6 +132,6 @@ def _require_name(kind: click.ParamType[Any], value: Any, param: click.Parameter
 
 def _words(text: str) -> list[str]:
     try:
-        return shlex.split(text)
+        return split_words(text)
     except ValueError:
         return text.split()

@@ -30,7 +30,7 @@ FLOORS = {
     "protocol scenes tolerance",
     "stss_cl": "skip > frame > network image_space > device graph liveness options cost",
     "stss_ground": "exit_status commands > optional option_kinds output pages progress toml_table cores > machine arguments > "
-    "errors terminal version regular_file",
+    "errors terminal version regular_file shell",
 }
 """The rooms of a package from top to bottom: a room imports those on the floors below it, and none beside it."""
 
@@ -98,6 +98,30 @@ def test_no_function_that_is_inlined_promises_restrict():
         if "#define restrict" not in text:
             promise = re.search(r"^(?:INLINE|ALWAYS|static inline)\b[^{]*\brestrict\b", text, re.MULTILINE)
             assert promise is None, (path.name, promise[0])
+
+
+NOT_ON_WINDOWS = re.compile(
+    r"\b(?:os\.(?:O_CLOEXEC|O_DIRECTORY|O_NOFOLLOW|O_NONBLOCK|chown|fchmod|fchown|fork|get[ep]?[gu]id|getloadavg|getpgid|killpg|mkfifo"
+    r"|posix_spawnp?|pread|pwrite|sched_getaffinity|setsid|statvfs|uname|WNOHANG)|signal\.(?:SIGALRM|SIGHUP|SIGKILL|alarm)"
+    r"|import (?:fcntl|pwd|resource|select|termios))\b"
+)
+"""Names that Python has on POSIX alone."""
+GUARDS = {
+    "os.O_CLOEXEC": "if fcntl is not None", "os.fchmod": 'hasattr(os, "fchmod")', "os.getuid": 'hasattr(os, "getuid")',
+    "os.killpg": 'hasattr(os, "killpg")|if os.name != "posix"', "os.sched_getaffinity": 'hasattr(os, "sched_getaffinity")',
+    "os.statvfs": 'hasattr(os, "statvfs")', "import fcntl": "except ImportError", "signal.SIGKILL": "os.killpg",
+}  # fmt: skip
+"""What a file that has such a name asks first."""
+
+
+def test_no_name_is_used_that_windows_lacks():
+    for path in (path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))):
+        text = path.read_text()
+        for name in (
+            {match[0] for match in NOT_ON_WINDOWS.finditer(text)} if path.name != "reaper.py" else ()
+        ):  # Linux alone runs that
+            assert name in GUARDS, f"{path}: {name}"
+            assert any(guard in text for guard in GUARDS[name].split("|")), f"{path}: {name} without {GUARDS[name]}"
 
 
 def test_no_large_file_is_kept():

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import importlib
-import shlex
 import sys
 import traceback
 from collections.abc import Callable, Iterable
@@ -17,6 +16,7 @@ from conformance.protocol.program_port import FolderPort
 from conformance.protocol.stages import STAGES
 from conformance.protocol.weights_format import ONE_OF_VERSIONS, VERSIONS
 from stss_ground.errors import InputError, UserError
+from stss_ground.shell import split_words
 
 ARITHMETICS = ("float32", "float16", "bfloat16")
 
@@ -121,7 +121,7 @@ def _place(error: BaseException | None) -> str:
 def split_command(program: str) -> list[str]:
     """The words of ``--exec``; InputError if there are none."""
     try:
-        words = shlex.split(program)
+        words = split_words(program)
     except ValueError as error:
         raise InputError(f"--exec: {error}: {program!r}") from error
     if not words:

@@ -51,7 +51,8 @@ class Server:
     """
 
     def __init__(self, command: Sequence[str]):
-        self._err = TemporaryFile("w+b", buffering=0)  # noqa: SIM115
+        # To append: the program writes at the end, wherever this process reads.
+        self._err = TemporaryFile("a+b", buffering=0)  # noqa: SIM115
         self._session = Session([*command, SERVE], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._err)
         self._process = self._session.process
         self._lines: SimpleQueue[str | None] = SimpleQueue()
@@ -82,6 +83,7 @@ class Server:
         try:
             self._exchange(job, timeout)
         except JobError:
+            self._session.close()  # first: on Windows both have one position in the file
             self._keep_stderr(job)
             self.close()
             raise
@@ -96,7 +98,8 @@ class Server:
                 file.close()
 
     def _keep_stderr(self, job: Path) -> None:
-        (job / "stderr.txt").write_bytes(os.pread(self._err.fileno(), MOST_SAID, 0))
+        self._err.seek(0)
+        (job / "stderr.txt").write_bytes(self._err.read(MOST_SAID))
         self.stderr = tail(self._err)
 
     def _exchange(self, job: Path, timeout: float) -> None:

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import os
-import shlex
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -37,6 +36,7 @@ from conformance.suite.properties import find_property
 from stss_ground.errors import InputError
 from stss_ground.output.folder import SUMS, move_aside, sums_below
 from stss_ground.output.write_whole import encode, make_folder, tell_errors, whole_folder, write_whole
+from stss_ground.shell import join_words
 
 Write = Callable[[Path, Case], None]
 """Writes a case into a job's folder."""
@@ -60,7 +60,7 @@ def keep_failure(folder: Path, name: str, failure: Failure, replay: str, write: 
     place = folder / name
     make_folder(folder)
     with whole_folder(place) as new, tell_errors(place):
-        _write_failure(new, failure.finding, f"{replay} --replay {shlex.quote(str(place))}", write)
+        _write_failure(new, failure.finding, f"{replay} --replay {join_words([str(place)])}", write)
         (new / CASES_FOLDER).mkdir()
         write_drawn(new / CASES_FOLDER, name, [*failure.before, failure.drawn_case])
         (new / SUMS).write_bytes(sums_below(new))

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import shlex
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -15,6 +14,7 @@ from conformance.report.report import judged_on, passed, print_results, to_json,
 from conformance.suite.run_suite import OF_THE_RUN
 from stss_ground.errors import InputError
 from stss_ground.progress import Advance, show_progress
+from stss_ground.shell import join_words
 from stss_ground.terminal import Terminal, echo
 
 
@@ -75,7 +75,7 @@ class RunningReport:
         except InputError as error:
             echo(f"  not kept: {error}; --failures takes another folder")
         else:
-            echo(f"  {self._again} --replay {shlex.quote(str(self.folders[name]))}")
+            echo(f"  {self._again} --replay {join_words([str(self.folders[name])])}")
 
     def _tell_early(self, finding: Finding) -> None:
         """A failure that is still made smaller."""

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import re
 import unicodedata
@@ -193,7 +194,9 @@ def _files(path: Path, folder: Path) -> list[Path]:
     except NotADirectoryError:
         kind = "a file"
     except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+        if error.errno != errno.EINVAL:  # Windows: a name that no file can have
+            raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+        kind = "nothing"
     raise InputError(f"{path}: expected a folder, or a pattern like name.####.exr; found {kind}{_advice(path)}")
 
 

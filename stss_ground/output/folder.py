@@ -109,8 +109,7 @@ class OutputFolder:
             try:
                 yield
             finally:
-                with tell_errors(self.path / SUMS):
-                    self._log.close()
+                self._close()
 
     def write(self, name: str, data: bytes) -> None:
         """Write the file ``name``, its place below the folder.
@@ -168,6 +167,7 @@ class OutputFolder:
                 self._clear(name)
                 (self.path / name).unlink(missing_ok=True)
         self._sums = {name: digests[-1:] for name, digests in self._sums.items() if (self.path / name).is_file()}
+        self._close()  # Windows replaces no open file
         write_whole(self.path / SUMS, self._lines())
         for folder in self.folders():
             sync_folder(folder)
@@ -194,6 +194,11 @@ class OutputFolder:
         with suppress(OSError):
             for folder in sorted(filter(Path.is_dir, self.folders()), reverse=True):
                 folder.rmdir()
+
+    def _close(self) -> None:
+        with tell_errors(self.path / SUMS):
+            if self._log is not None:
+                self._log.close()
 
     def _clear(self, name: str) -> None:
         """Move a file at this place aside, unless it is the one that was written there."""

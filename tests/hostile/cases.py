@@ -22,11 +22,13 @@ def stss(*arguments, cwd=None, env=None, timeout=120, **more):
 
 
 def call(*arguments, seconds=60):
-    """Call ``stss`` in this process, with a limit of its time; warnings are errors. Most of a process's time is its start."""
+    """Call ``stss`` in this process, with a limit of its time (not on Windows); warnings are errors. Most of a process's time is its
+    start."""
     out, err = (io.TextIOWrapper(io.BytesIO(), "utf-8") for _ in range(2))
     argv, status = sys.argv, 0
-    signal.signal(signal.SIGALRM, _hangs)
-    signal.alarm(seconds)
+    if hasattr(signal, "alarm"):
+        signal.signal(signal.SIGALRM, _hangs)
+        signal.alarm(seconds)
     try:
         with warnings.catch_warnings(), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
             warnings.simplefilter("error")
@@ -35,7 +37,8 @@ def call(*arguments, seconds=60):
     except SystemExit as ended:
         status = ended.code
     finally:
-        signal.alarm(0)
+        if hasattr(signal, "alarm"):
+            signal.alarm(0)
         sys.argv = argv
     out.flush(), err.flush()
     texts = (stream.buffer.getvalue().decode() for stream in (out, err))

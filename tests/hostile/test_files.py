@@ -57,6 +57,34 @@ def inputs(demo, tmp_path):
     return folder
 
 
+@pytest.fixture
+def as_windows(monkeypatch):
+    """No file that this process has open is replaced or removed, as on Windows."""
+
+    def guard(method):
+        def call_it(path, *arguments, **options):
+            for place in (path, *arguments):
+                opened = (Path(entry) for entry in os.scandir("/proc/self/fd"))
+                if os.path.realpath(place) in {os.path.realpath(entry) for entry in opened}:
+                    raise PermissionError(errno.EACCES, "Access is denied", str(place))
+            return method(path, *arguments, **options)
+
+        return call_it
+
+    monkeypatch.setattr(Path, "replace", guard(Path.replace))
+    monkeypatch.setattr(Path, "unlink", guard(Path.unlink))
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="/proc tells what is open")
+def test_a_run_replaces_and_removes_no_open_file(demo, tmp_path, as_windows):
+    for options in ((), ("--resume",), ("--overwrite", "--format", "png")):
+        result = call("run", demo / "frames", "-o", tmp_path / "parts" / "1", *PLAIN, *options)
+        assert result.returncode == 0, result.stderr
+        (tmp_path / "parts" / "1" / LOCK).unlink(missing_ok=True)  # Windows removes it when it is released
+    assert call("gather", tmp_path / "parts", "-o", tmp_path / "out").returncode == 0
+    assert call("compare", tmp_path / "out", demo / "truth", "--html", tmp_path / "a.html").returncode == 0
+
+
 def refused_untouched(folder, arguments, *words):
     """The command is refused, and nothing in the folder has changed."""
     before = contents(folder)

@@ -1,5 +1,6 @@
 """Frame numbers in the names of files: signs, fractions, patterns, names with unusual characters."""
 
+import errno
 import os
 import unicodedata
 from pathlib import Path
@@ -61,6 +62,15 @@ def test_the_pattern_of_another_program_is_told_as_ours(tmp_path, pattern, advic
         find_frames(tmp_path / pattern, [""])
     assert "expected a folder, or a pattern like name.####.exr; found " in str(error.value)
     assert str(error.value).partition("; write ")[2] == (advice or "")
+
+
+def test_a_name_that_windows_refuses_is_told_as_ours(tmp_path, monkeypatch):
+    def refuse(folder):
+        raise OSError(errno.EINVAL, "The filename is incorrect", str(folder))
+
+    monkeypatch.setattr(Path, "iterdir", refuse)
+    with pytest.raises(InputError, match=r"found nothing; write shot\.####\.exr"):
+        find_frames(tmp_path / "shot.<F4>.exr", [""])
 
 
 @pytest.mark.skipif(os.sep != "/", reason="a backslash is no letter of a name here")
