@@ -128,6 +128,7 @@ def end():
     print("ends", flush=True)
     print(sys.stdin.readline(), end="", flush=True)
 
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores it
 atexit.register(end)
 stss.cli.main.main = command
 main()
