@@ -105,6 +105,12 @@ def test_a_scene_of_a_stranger_runs_no_program_and_names_no_file(film):
     assert [line.target.id for line in settings.body if isinstance(line, ast.AnnAssign)] == ["folder", "options"]
 
 
+def test_a_command_of_the_preferences_keeps_the_backslashes_of_windows(film, monkeypatch):
+    assert film.split_words("'my stss' run\\ it # 1") == ["my stss", "run it", "#", "1"]
+    monkeypatch.setattr(film, "os", types.SimpleNamespace(name="nt"))
+    assert film.split_words(r'"C:\Program Files\stss.exe" -m C:\a') == [r"C:\Program Files\stss.exe", "-m", r"C:\a"]
+
+
 def test_each_option_of_a_run_is_harmless_or_has_a_reason_not_to_be(film):
     """A new one is among the first, or here."""
     with_a_path_or_an_address = {"--camera", "--cluster", "--out", "--profile"}
