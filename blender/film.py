@@ -189,11 +189,11 @@ def _has_plan(folder: Path, plan: str) -> bool:
 
 
 def split_words(command: str) -> list[str]:
-    """The words of a command; on Windows a backslash is a letter of a path. ValueError: a quote is not closed."""
+    """The words of a command, as `stss_ground.shell` has them. ValueError: a quote is not closed."""
     words = shlex.shlex(command, posix=True)
     words.whitespace_split, words.commenters = True, ""
     if os.name == "nt":
-        words.escape = ""
+        words.escape, words.quotes = "", '"'
     return list(words)
 
 

@@ -1,12 +1,15 @@
 """Command lines as text, on this system and as on Windows."""
 
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from conformance.protocol.load_port import split_command
 from stss_ground import shell
+from stss_ground.option_kinds import Program
 
 WORDS = st.lists(st.text(st.sampled_from("aZ0 -_=/.:$'"), min_size=1), min_size=1)
 
@@ -40,3 +43,10 @@ def test_a_backslash_is_a_letter_on_windows_alone(monkeypatch, line, words):
 def test_an_open_quote_is_told(system):
     with pytest.raises(ValueError, match="quot"):
         shell.split_words('"a b')
+
+
+def test_the_program_of_a_port_keeps_its_path(monkeypatch):
+    assert Path("my port") in Program().reads("'my port' --table=t.csv")
+    monkeypatch.setattr(shell, "os", SimpleNamespace(name="nt"))
+    assert split_command(r"build\port.exe --gpu 1") == [r"build\port.exe", "--gpu", "1"]
+    assert Path(r"build\port.exe") in Program().reads(r"build\port.exe --gpu 1")

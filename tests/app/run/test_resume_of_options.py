@@ -100,7 +100,8 @@ def test_resume_says_why_frames_are_made_again(shot, tmp_path, monkeypatch):
     monkeypatch.chdir(shot)
     base = ["-o", str(tmp_path / "out"), "--weights", "random.safetensors", "--metallic", "0", "--roughness", "0.5"]
     run(*base, "--frames", "0:1")
-    assert "--resume: " not in run(*base, "--resume")  # the same settings: kept, or not there yet
+    assert "--resume: " not in run(*base, "--frames", "0:1", "--resume")  # the same settings
+    assert "--resume: " not in run(*base, "--frames", "2:3", "--transfer", "none", "--resume")  # frames 0 and 1 stay as they are
     for value, words in (("none", "transfer srgb, not none"), ("srgb", "transfer none, not srgb")):
         lines = run(*base, "--transfer", value, "--resume").splitlines()
         assert f"--resume: {tmp_path}/out/frame.0000.exr: {words}; such frames are made again" in lines
