@@ -24,7 +24,8 @@ Kind = Literal["SF", "EF"]
 KINDS: tuple[Kind, Kind] = ("SF", "EF")
 
 DRAWS = 3
-"""Crops drawn for each crop used, which is the one with the most detail: half of an average frame is flat, and teaches little."""
+"""Crops drawn of a folder for each crop used, which is the one with the most detail: half of an average frame is flat, and teaches
+little."""
 
 
 @dataclass(frozen=True)
@@ -142,7 +143,8 @@ class Batches:
         random = np.random.default_rng([self._seed, step])
         parts: list[tuple[Array, Array, Array]] = []
         for _ in range(self._batch // self._together):
-            draws = [self._draw(random) for _ in range(DRAWS)]
+            group = self._sets[int(random.integers(len(self._sets)))]
+            draws = [self._draw(group, random) for _ in range(DRAWS)]
             together, corner = max(draws, key=lambda one: self._detail(one[0][0], one[1]))
             crops = [crop(p.shard.inputs[p.index], p.shard.truth[p.index], corner, self._side) for p in together]
             last = max(p.shard.frames[p.index] for p in together)
@@ -156,9 +158,10 @@ class Batches:
         inputs, masks, truth = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
         return collate(inputs, masks, truth)
 
-    def _draw(self, random: np.random.Generator) -> tuple[tuple[StoredSample, ...], tuple[int, int]]:
-        """Draw samples that belong together, and the corner of a crop in them."""
-        group = self._sets[int(random.integers(len(self._sets)))]
+    def _draw(
+        self, group: Sequence[tuple[StoredSample, ...]], random: np.random.Generator
+    ) -> tuple[tuple[StoredSample, ...], tuple[int, int]]:
+        """Draw samples of a folder that belong together, and the corner of a crop in them."""
         together = group[int(random.integers(len(group)))]
         height, width = together[0].shard.inputs.shape[1:3]
         return together, (
