@@ -13,10 +13,11 @@
 //  bias         in   (OUT)
 //  out          out  padded, (OUT_CHANNELS)      OUT channels of it, from layer.out_first on
 //
-// Build -D STRIDE (1 or 2) -D SIDE (4 or 2: pixels of an output tile's side; 2 at stride 2) -D A -D B -D OUT -D
-// OUT_CHANNELS (multiples of 8) -D TILES (per work-item) -D VECTOR (8 or 16 lanes; OUT fills VECTORS of them; at 16
-// TILES is even) -D TILES_HELD (at once in registers, divides TILES) -D VECTORS_HELD (of outputs, likewise, divides
-// VECTORS), optionally -D PAIRED (winograd_products.clh) -D GATED -D RELU -D STORED -D PREFETCH (of the next strip).
+// Build -D STRIDE (1 or 2) -D SIDE (4 or 2: pixels of an output tile's side; 2 at stride 2) -D A -D B -D USED (inputs
+// before those whose weights are all 0) -D OUT -D OUT_CHANNELS (multiples of 8) -D TILES (per work-item) -D VECTOR (8
+// or 16 lanes; OUT fills VECTORS of them; at 16 TILES is even) -D TILES_HELD (at once in registers, divides TILES) -D
+// VECTORS_HELD (of outputs, likewise, divides VECTORS), optionally -D PAIRED (winograd_products.clh) -D GATED -D RELU
+// -D STORED -D PREFETCH (of the next strip).
 // winograd_image.cl is the same with the decoder's output behind it.
 // `tiles`, `count`: the tiles of the output, SIDE x SIDE pixels each, that are computed, see tile_list.clh.
 // Launch (any number of work-items), work-groups of 1: a work-item takes one strip of TILES after the other, so its
@@ -24,9 +25,9 @@
 //
 // If MARKS(changes), the output's map, a value is compared with the stored one, and marked if bits differ
 // (change_map.clh).
-#if !defined(STRIDE) || !defined(SIDE) || !defined(A) || !defined(B) || !defined(OUT) || !defined(OUT_CHANNELS) || \
-    !defined(TILES) || !defined(TILES_HELD) || !defined(VECTORS_HELD) || !defined(VECTOR)
-#error "winograd.cl needs -D STRIDE, SIDE, A, B, OUT, OUT_CHANNELS, TILES, TILES_HELD, VECTORS_HELD, VECTOR"
+#if !defined(STRIDE) || !defined(SIDE) || !defined(A) || !defined(B) || !defined(USED) || !defined(OUT) || \
+    !defined(OUT_CHANNELS) || !defined(TILES) || !defined(TILES_HELD) || !defined(VECTORS_HELD) || !defined(VECTOR)
+#error "winograd.cl needs -D STRIDE, SIDE, A, B, USED, OUT, OUT_CHANNELS, TILES, TILES_HELD, VECTORS_HELD, VECTOR"
 #endif
 #if (STRIDE != 1 || SIDE != 4) && ((STRIDE != 1 && STRIDE != 2) || SIDE != 2)
 #error "winograd.cl: SIDE is 4, or 2, or 2 at STRIDE 2"

@@ -111,7 +111,6 @@ def conv(
         "out_columns": out.columns,
         "out_channels": out.channels,
         "out_first": out_first,
-        "used": packed.used,
         **_from_image_to_image(a, out, packed, shape),
     }
     maps = _maps(a, image or 0, b or final)
@@ -219,6 +218,7 @@ def _winograd(device: Device, packed: Packed, out: Padded, side: int, stride: in
             "VECTORS_HELD": row.vectors_held,
             "VECTOR": row.vector,
             "PAIRED": in_pairs,
+            "USED": packed.used,
             "PREFETCH": device.takes_prefetch,
         },
         weight=pair_inputs(weight, outputs) if in_pairs else weight,
