@@ -88,7 +88,7 @@ def read_rgb(path: Path) -> Image:
 
     Returns:
         (H, W, 3) float32; an EXR's values as stored, a PNG's display values in 0..1. An EXR without R, G, B is read from its
-        layer ``Combined``, or else from the only layer that has R, G, B.
+        layer ``Combined``, or else from the only layer that has R, G, B; without any, from r, g, b in the same way.
 
     Raises:
         InputError: as `read_channels`; or there is no such layer, or more than one.
@@ -97,13 +97,22 @@ def read_rgb(path: Path) -> Image:
     if "R" not in channels and path.suffix.lower() == ".png":
         names = (channels[0],) * 3
     else:
-        layers = [name[:-1] for name in channels if name[-1] == "R" and {name[:-1] + "G", name[:-1] + "B"} <= {*channels}]
-        layers = [x for x in layers if not x] or [x for x in layers if x.endswith(("Combined.", "RGBA."))] or layers
+        # Lower case last: matte layers have it beside the picture, as Cryptomatte does.
+        layers = _layers_with(channels, "RGB") or _layers_with(channels, "rgb")
+        layers = (
+            [x for x in layers if len(x[0]) == 1] or [x for x in layers if x[0][:-1].endswith(("Combined.", "RGBA."))] or layers
+        )
         if len(layers) != 1:
             raise InputError(f"{path}: expected channels R, G, B or one layer with them; it has {listing(channels)}")
-        names = tuple(layers[0] + letter for letter in "RGB")
+        names = layers[0]
     planes = read_channels(path, names)
     return np.stack([planes[name] for name in names], axis=-1)
+
+
+def _layers_with(channels: Sequence[str], letters: str) -> list[tuple[str, ...]]:
+    """The channels of each layer that has all of these letters."""
+    layers = [tuple(name[:-1] + letter for letter in letters) for name in channels if name[-1] == letters[0]]
+    return [layer for layer in layers if {*layer} <= {*channels}]
 
 
 def write_channels(

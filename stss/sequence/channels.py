@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -55,9 +56,8 @@ def find_buffers(header: Header, profile: Profile, buffers: Collection[str]) -> 
     Raises:
         InputError: several layers have the same buffers, so that ``{layer}`` could mean any of them; or the file lacks the view.
     """
-    names = _names(header, profile)
-    layers = {name.rsplit(".", 2)[0] for name in names if name.count(".") >= 2}
-    by_layer = {layer: _in_layer(header.path, names, profile, buffers, layer) for layer in sorted(layers)}
+    names = _Names(_names(header, profile))
+    by_layer = {layer: _in_layer(header.path, names, profile, buffers, layer) for layer in names.layers}
     if not by_layer:
         return _in_layer(header.path, names, profile, buffers, None)
     most = max(len(sources) for sources in by_layer.values())
@@ -74,10 +74,23 @@ def find_buffers(header: Header, profile: Profile, buffers: Collection[str]) -> 
 
 def layers_of(header: Header, profile: Profile, color: Source) -> list[str]:
     """The layers of a file that have all channels of a colour, the layer of ``color`` first; "" for a colour without a layer."""
-    names = _names(header, profile)
-    layers = sorted({name.rsplit(".", 2)[0] for name in names if name.count(".") >= 2})
-    by_layer = {layer: _in_layer(header.path, names, profile, ["color"], layer).get("color") for layer in layers}
+    names = _Names(_names(header, profile))
+    by_layer = {layer: _in_layer(header.path, names, profile, ["color"], layer).get("color") for layer in names.layers}
     return sorted((layer for layer, source in by_layer.items() if source), key=lambda layer: by_layer[layer] != color) or [""]
+
+
+class _Names:
+    """Names as a profile may have them, and the full name of each."""
+
+    def __init__(self, full: Mapping[str, str]):
+        self.layers = sorted({name.rsplit(".", 2)[0] for name in full if name.count(".") >= 2})
+        self._full = full
+        folded = Counter(name.lower() for name in full)
+        self._folded = {name.lower(): whole for name, whole in full.items() if folded[name.lower()] == 1}
+
+    def find(self, name: str) -> str | None:
+        """The full name of a name, or else of the only one that differs from it by upper and lower case: programs write ``r`` for ``R``."""
+        return self._full.get(name) or self._folded.get(name.lower())
 
 
 def view_of(name: str, views: Collection[str]) -> str | None:
@@ -106,22 +119,20 @@ def _names(header: Header, profile: Profile) -> dict[str, str]:
             parts = name.split(".")
             parts.remove(own)
             names[".".join(parts)] = name
-    wanted = {name for buffer in profile.channels.values() for alternative in buffer for name in alternative}
+    wanted = {name.lower() for buffer in profile.channels.values() for alternative in buffer for name in alternative}
     for name in [name for name in names if "." not in name]:
-        if (whole := f"{header.parts[names[name]]}.{name}") in wanted:
+        if (whole := f"{header.parts[names[name]]}.{name}").lower() in wanted:
             names[whole] = names.pop(name)
     return names
 
 
-def _in_layer(
-    path: Path, there: Mapping[str, str], profile: Profile, buffers: Collection[str], layer: str | None
-) -> dict[str, Source]:
+def _in_layer(path: Path, there: _Names, profile: Profile, buffers: Collection[str], layer: str | None) -> dict[str, Source]:
     sources: dict[str, Source] = {}
     for buffer in buffers:
         for names in profile.channels[buffer]:
-            full = tuple(name.replace("{layer}.", "" if layer is None else f"{layer}.") for name in names)
-            if there.keys() >= {*full}:
-                sources[buffer] = Source(path, tuple(there[name] for name in full))
+            full = [there.find(name.replace("{layer}.", "" if layer is None else f"{layer}.")) for name in names]
+            if None not in full:
+                sources[buffer] = Source(path, tuple(name for name in full if name))
                 break
     return sources
 

@@ -278,8 +278,9 @@ class Sequence:
         frame = self.frames[number]
         color = frame.sources["color"]
         there = {path: read_header(path).channels for path in frame.files}
-        alpha = color.names[0][:-1] + "A"
-        planes = {"A": Source(color.path, (alpha,))} if color.names[0].endswith("R") and alpha in there[color.path] else {}
+        layer, red = color.names[0][:-1], color.names[0][-1]
+        alpha = layer + {"R": "A", "r": "a"}.get(red, "")
+        planes = {"A": Source(color.path, (alpha,))} if alpha in there[color.path] else {}
         own = {letter: Source(color.path, (full,)) for letter, full in zip("RGB", color.names, strict=True)}
         for name in also:
             sources = [

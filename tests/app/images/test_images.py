@@ -195,6 +195,18 @@ def test_rgb_comes_from_one_layer(tmp_path):
         images.read_rgb(path)
 
 
+@pytest.mark.parametrize("layer", ["", "X."])
+def test_rgb_may_be_in_lower_case(tmp_path, layer):
+    """A matte beside the picture, which Cryptomatte writes in lower case, is none."""
+    path = tmp_path / "a.exr"
+    pixels = planes(*(layer + letter for letter in "rgb"))
+    images.write_channels(path, pixels)
+    np.testing.assert_array_equal(images.read_rgb(path)[..., 2], pixels[layer + "b"])
+    pixels = planes(*(layer + letter for letter in "RGB"), "matte.r", "matte.g", "matte.b")
+    images.write_channels(path, pixels)
+    np.testing.assert_array_equal(images.read_rgb(path)[..., 2], pixels[layer + "B"])
+
+
 def test_parts_are_one_file(tmp_path):
     """A channel whose name another part has too goes by its part's name."""
     path, parts = tmp_path / "a.exr", (("rgb", "RGB", 0.5), ("depth", "Z", 1.5), ("normal", "RGB", 2.5))

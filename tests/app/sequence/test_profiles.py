@@ -185,6 +185,21 @@ def test_passes_are_found_by_the_names_of_every_blender(tmp_path, layer):
     assert set(sequence.frames[1].sources) == set(BUFFERS) - {"nov"}
 
 
+@pytest.mark.parametrize("name", ["stss", "blender"])
+def test_upper_and_lower_case_are_told_apart_only_where_a_file_has_both(tmp_path, name):
+    """Programs write ``r`` for ``R``. Where a file has both spellings, the profile's own is taken."""
+    color, *others = (names for names, *_ in load_profile(name).channels.values())
+    color, others = ([each.replace("{layer}", "ViewLayer") for each in names] for names in (color, sum(others, ())))
+    lower = [each[:-1] + each[-1].lower() for each in color]
+    write_channels(tmp_path / "a.0001.exr", {each: np.ones((4, 4)) for each in (*lower, lower[0][:-1] + "a", *others)})
+    write_channels(tmp_path / "a.0002.exr", {each: np.ones((4, 4)) for each in (*lower, *color, *(n.lower() for n in others))})
+    sequence = open_sequence(tmp_path)
+    assert sequence.profile.name == name
+    assert sequence.carries() == ("A",)
+    assert [list(sequence.frames[n].sources["color"].names) for n in (1, 2)] == [lower, color]
+    assert [set(sequence.frames[n].sources) for n in (1, 2)] == [set(BUFFERS)] * 2
+
+
 @pytest.mark.parametrize(("start", "names"), [("", {}), ("file_name", {"DiffCol": "Diffuse Color", "IndexOB": "Object Index"})])
 def test_a_file_for_each_pass_is_found_by_the_names_of_every_blender(tmp_path, start, names):
     """As Blender 4.5 and 5.0 write them by default. Without an AOV for the base colour its pass is taken."""
