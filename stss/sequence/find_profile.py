@@ -52,12 +52,17 @@ def find_profile(path: Path) -> Profile:
     if not scores:
         raise refusals[0]
     best = [name for name, score in scores.items() if score == max(scores.values())]
-    if len(best) > 1 or scores[best[0]] < LEAST:
-        names = ", ".join(profile_names())
+    if len(best) == 1 and scores[best[0]] >= LEAST:
+        return load_profile(best[0])
+    if {name.upper() for name in channels} <= {*"RGBA"}:
         raise InputError(
-            f"{path}: the channels fit no profile alone: {listing(channels)}; say --profile {names} or a TOML file of your own"
+            f"{path}: expected {', '.join(BUFFERS)}, found a picture alone: {listing(channels)}; turn on the renderer's passes, or say "
+            "--profile FILE.toml if each is a file of its own (docs/profiles.md, [files])"
         )
-    return load_profile(best[0])
+    raise InputError(
+        f"{path}: the channels fit no profile alone: {listing(channels)}; say --profile {' or '.join(best)}, or --profile FILE.toml for "
+        "other names (docs/profiles.md, A profile of your own)"
+    )
 
 
 def frames_of(path: Path, profile: Profile) -> Frames:

@@ -84,7 +84,12 @@ def test_check_and_run_need_neither_profile_nor_camera(write_frames, tmp_path):
 def test_names_that_fit_nothing_are_said(write_frames):
     lr = write_frames(range(2), change=lambda number, channels: {name: channels[name] for name in "RGB"})
     with pytest.raises(
-        InputError, match=r"the channels fit no profile alone: R, G, B; say --profile blender, .* or a TOML file of your own"
+        InputError, match=r"expected color, motion, .*, found a picture alone: R, G, B; turn on .* passes, or say"
+    ):
+        open_sequence(lr)
+    lr = write_frames(range(2), change=lambda number, channels: {name: channels[name] for name in ("R", "G", "B", "depth.Z")})
+    with pytest.raises(
+        InputError, match=r"no profile alone: R, G, B, depth\.Z; say --profile stss, or --profile FILE\.toml for other"
     ):
         open_sequence(lr)
 
