@@ -64,7 +64,7 @@ def make_display_frame(buffers: Buffers, to_display: Transfer, depth: DepthMode,
     while the frame is in use.
 
     Raises:
-        ArrayError: a plane has another shape than `Buffers` says, or depth is neither float32 nor float64.
+        ArrayError: a plane has another shape than `Buffers` says.
     """
     height, width = size = buffers.size
     for name, channels in CHANNELS.items():
@@ -73,7 +73,8 @@ def make_display_frame(buffers: Buffers, to_display: Transfer, depth: DepthMode,
     color, normal, base_color = buffers.color, np.moveaxis(buffers.normal, -1, 0), np.moveaxis(buffers.base_color, -1, 0)
     shown, above, gbuffer = (np.empty((*size, n), np.float32) for n in (3, 3, 9))
     # One channel at a time: NumPy is slow where the axis that lies together has three numbers.
-    planes = [*normal, normalise_depth(buffers.depth, depth), buffers.roughness, buffers.metallic, *base_color]
+    z = buffers.depth if buffers.depth.dtype in (np.float32, np.float64) else buffers.depth.astype(np.float32)
+    planes = [*normal, normalise_depth(z, depth), buffers.roughness, buffers.metallic, *base_color]
     fills = [(gbuffer[..., i], plane) for i, plane in enumerate(planes)]
 
     def own(plane: Array) -> Array:
@@ -99,7 +100,7 @@ def make_display_frame(buffers: Buffers, to_display: Transfer, depth: DepthMode,
     if has_highlights:
         carried[HIGHLIGHTS] = above
     return DisplayFrame(
-        number=buffers.number,
+        number=int(buffers.number),  # the next of a NumPy number of 8 bits may be negative
         color=None if color is None else shown,
         motion=motion,
         gbuffer=gbuffer,

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -61,10 +62,7 @@ def convert(
     for name in BUFFERS:
         if planes.get(name) is None:
             continue
-        require_unmasked(f"frame {number}: {name}", planes[name])
-        original = np.asarray(planes[name])
-        if original.dtype.kind not in "fiub":
-            raise InputError(f"frame {number}: {name}: expected numbers, found {original.dtype}")
+        original = _array(f"frame {number}: {name}", planes[name])
         if original.ndim and original.dtype.kind != "f" and name != "stencil":
             hint = float_hint(original.dtype)
             raise InputError(f"frame {number}: {name}: expected floating-point numbers, found {original.dtype}; {hint}")
@@ -81,18 +79,27 @@ def convert(
         if plane.shape != (*shape, channels):
             raise InputError(f"frame {number}: {name}: expected shape {(*shape, channels)}, found {original.shape}")
         buffers[name] = plane
-    require_depth_buffer(f"frame {number}", buffers["depth"], table.depth)
+    require_depth(f"frame {number}", buffers["depth"], table.depth)
     depth = to_specification(buffers, table, where)
     single = {name: buffers[name][..., 0] for name in ("stencil", "nov", "roughness", "metallic")}
     carried: dict[str, Array] = {}
     for name, plane in planes.items():
         if name not in BUFFERS:
-            require_unmasked(f"frame {number}: {name}", plane)
-            if (original := np.asarray(plane)).dtype.kind not in "fiub":
-                raise InputError(f"frame {number}: {name}: expected numbers, found {original.dtype}")
-            carried[name] = original.astype(np.float32)
+            carried[name] = _array(f"frame {number}: {name}", plane).astype(np.float32)
     several = {name: buffers[name] for name in ("motion", "normal", "position", "base_color")}
     return Buffers(number, buffers.get("color"), depth=depth, **single, **several, cut=cut, carried=carried)
+
+
+def _array(where: str, value: Any) -> Array:
+    """A plane as an array of numbers; a library refuses in its own words, for a tensor on a GPU or with a gradient."""
+    require_unmasked(where, value)
+    try:
+        array = np.asarray(value)
+    except Exception as error:
+        raise InputError(f"{where}: expected an array, found {type(value).__name__}: {str(error).partition('. ')[0]}") from error
+    if array.dtype.kind not in "fiub":
+        raise InputError(f"{where}: expected numbers, found {array.dtype}")
+    return array
 
 
 def _require_planes(number: int, planes: Mapping[str, Array | float], has_camera: bool) -> None:
@@ -119,9 +126,19 @@ def _size(number: int, planes: Mapping[str, Array]) -> tuple[int, int]:
     return height, width
 
 
-def require_depth_buffer(where: str, values: Array, rule: DepthRule) -> None:
-    """Raise InputError if the profile says that depth is a depth buffer's, and a finite value of (H, W, 1) is not in 0 to 1."""
+def require_depth(where: str, values: Array, rule: DepthRule) -> None:
+    """Raise InputError if finite depths (H, W, 1) cannot be what the profile says: a depth buffer's 0 to 1, or distances.
+
+    One negative value, or several equal ones, may stand for nothing hit; different ones measure something.
+    """
     if rule.kind != "device":
+        with np.errstate(invalid="ignore"):
+            below = values[np.isfinite(values) & (values < 0)]
+            if len(below) and below.min() < below.max() and not (values > 0).any():
+                raise InputError(
+                    f"{where}: depth: expected distances from the camera, > 0, found {len(below)} negative ones and no other, "
+                    f"{below.min():g} to {below.max():g}; negate them if they are z of a view space that looks along -z, as OpenGL's"
+                )
         return
     with np.errstate(invalid="ignore"):
         bad = np.isfinite(values) & ((values < -ROUNDING) | (values > 1 + ROUNDING))

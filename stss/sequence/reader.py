@@ -19,7 +19,7 @@ from stss.images.windows import PixelWindow, union
 from stss.sequence.background import Background, background_motion, projection_of, projection_of_table
 from stss.sequence.camera import CameraPose, camera_of, read_cameras
 from stss.sequence.channels import MissingBuffersError, Source, find_sources, layers_of, view_of
-from stss.sequence.conventions import linear_depth, require_depth_buffer, to_specification
+from stss.sequence.conventions import linear_depth, require_depth, to_specification
 from stss.sequence.find_profile import frames_of, require_fit, settle_profile
 from stss.sequence.profiles import BUFFERS, CONSTANTS, Profile
 from stss.sequence.projection import Projection
@@ -137,6 +137,7 @@ class Sequence:
             InputError: the frame or a buffer of it is not there, a file cannot be read, or a value is not finite where
                 it must be.
         """
+        require_kind("number", number, (int, np.integer), "a frame's number")
         key = number, color, *also
         if key in self._kept:
             return self._kept[key]
@@ -187,7 +188,7 @@ class Sequence:
             raise MissingBuffersError(self._where(number), self.profile, missing, frame.files, frame.sources)
         others = self._carried(number, also) if color and "color" in frame.sources else {}
         arrays, carried = read_stored(frame, self.canvas, self.constants, others, color=color)
-        require_depth_buffer(self._where(number), arrays["depth"], self.profile.depth)
+        require_depth(self._where(number), arrays["depth"], self.profile.depth)
         outside = self._outside(frame)
         if outside is not None:
             arrays["depth"] = np.where(outside[..., None], np.float32(np.nan), arrays["depth"])

@@ -259,3 +259,48 @@ def test_object_numbers_of_each_kind_cause_no_warning(kind):
     stencil = np.full(SIZE, 300).astype(kind)
     stss.check(buffers(stencil=stencil))
     stss.convert(0, planes(stencil=stencil))
+
+
+@pytest.mark.parametrize("kind", ["planar", "ray"])
+def test_a_view_space_that_looks_backwards_is_told(kind):
+    """OpenGL's z is negative before the camera, and so it would be all background. One negative value means that nothing was hit."""
+    rules = stss.load_profile("stss", depth={"kind": kind, "background": 1e9})
+    depth = -np.arange(1, SIZE[0] * SIZE[1] + 1, dtype=np.float32).reshape(SIZE)
+    with pytest.raises(
+        InputError, match=r"frame 0: depth: expected distances .*, found \d+ negative ones and no other, -\d+ to -1; neg"
+    ):
+        stss.convert(0, planes(depth=depth), rules)
+    for sky in (-1, -np.inf, np.nan):
+        depth = np.full(SIZE, sky, np.float32)
+        assert np.isinf(stss.convert(0, planes(depth=depth), rules).depth).all()
+        depth[0, :2] = 5, -2
+        assert stss.convert(0, planes(depth=depth), rules).depth[0, 0] == 5
+
+
+class Tensor:
+    """An array that another library does not give away."""
+
+    def __array__(self, *_, **__):
+        raise RuntimeError("Can't call numpy() on Tensor that requires grad. Use tensor.detach().numpy() instead.")
+
+
+@pytest.mark.parametrize("name", ["color", "alpha"])
+@pytest.mark.parametrize(
+    ("value", "words"), [(Tensor(), "Tensor: Can't call numpy"), ([[1.0], [1.0, 2.0]], "list: setting an array")]
+)
+def test_a_plane_that_does_not_become_an_array_is_named(name, value, words):
+    with pytest.raises(InputError, match=f"^frame 0: {name}: expected an array, found {words}"):
+        stss.convert(0, planes(**{name: value}))
+
+
+@pytest.mark.parametrize("dtype", ["<f2", ">f4", "<f8"])
+def test_planes_and_numbers_may_have_any_width(dtype):
+    """A depth may be half, or come from a file of the other byte order; a number of 8 bits has no successor behind 127."""
+    images = []
+    for numbers, last in (((126, 127, 128), "<f4"), ((np.int8(126), np.int8(127), 128), dtype)):
+        loop = stss.Supersampler("bilinear", backend="ref")
+        for number, frame in zip(numbers, frames(3, first=1), strict=True):
+            output = loop.push(replace(frame, number=number, depth=frame.depth.astype(dtype).astype(last)))
+        assert output is not None
+        images.append(output.image)
+    np.testing.assert_array_equal(*images)
