@@ -77,7 +77,9 @@ def _require_utf8(words: list[str]) -> None:
         try:
             word.encode()
         except UnicodeEncodeError:
-            raise UserError(f"{word}: expected a name in UTF-8") from None
+            locale = sys.getfilesystemencoding()
+            cure = "" if locale == "utf-8" else f"; names here are {locale}: set PYTHONUTF8=1"
+            raise UserError(f"{word}: expected a name in UTF-8{cure}") from None
 
 
 def _fail_of_click(error: click.ClickException) -> None:

@@ -40,7 +40,12 @@ class LocalWorkers:
     def start(self) -> Executor:
         """An executor of all workers that do not hang."""
         context = multiprocessing.get_context("spawn")  # a fork would copy the drivers' locks, but not the threads that hold them
-        return _BlockedPool(self._count, context, _begin, (self._count,))
+        try:
+            return _BlockedPool(self._count, context, _begin, (self._count,))
+        except OSError as error:  # some containers have no shared memory, in which the pool has its locks
+            raise InputError(
+                f"--cluster {LOCAL}{self._count}: processes share no lock here: /dev/shm: {error.strerror}; run without --cluster"
+            ) from error
 
     def end(self, executor: Executor, *, hangs: bool) -> None:
         """Drop all tasks of the executor; its processes end, and the next executor starts others."""

@@ -8,6 +8,7 @@ window, whatever part of it its data windows cover.
 
 from __future__ import annotations
 
+import os
 import re
 import zlib
 from collections.abc import Generator, Mapping, Sequence
@@ -113,7 +114,8 @@ def open_image(path: Path) -> Generator[oiio.ImageInput, None, None]:
         raise InputError(f"{path}: expected an .exr or .png file")
     stops = False
     try:
-        str(path).encode()
+        # OpenImageIO takes names in UTF-8, whatever the locale: the text that Python made of one may have other bytes.
+        name = os.fsencode(path).decode()
         if (size := require_regular(path)) > MAX_FILE_BYTES:
             raise InputError(f"{path}: expected a file of at most {MAX_FILE_BYTES >> 20} MiB")
         with path.open("rb") as file:
@@ -128,13 +130,13 @@ def open_image(path: Path) -> Generator[oiio.ImageInput, None, None]:
                 stops = ends_early(file, size)
             if path.suffix.lower() == ".png" and not whole_png(file):
                 raise InputError(f"{path}: truncated or corrupt")
-    except UnicodeEncodeError:
+    except UnicodeError:
         raise InputError(f"{path}: expected a name in UTF-8") from None
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from error
     config = oiio.ImageSpec()
     config.attribute("oiio:UnassociatedAlpha", 1)
-    image = oiio.ImageInput.open(str(path), config)
+    image = oiio.ImageInput.open(name, config)
     if image is None:
         raise InputError(f"{path}: header cannot be read: {last_error(oiio)}")
     try:

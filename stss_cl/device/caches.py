@@ -18,6 +18,8 @@ from stss_ground.machine import available_threads
 
 LEAST_FREE = 32 << 20
 """Bytes that must be free in the cache: all of our kernels take about 10 MiB, and compilers crash on a full disk."""
+LARGEST = 1 << 20
+"""Bytes of the largest file in the cache, twice over; a compiler that cannot write ends the process."""
 LONGEST = 512
 """Most characters of the cache home's path: PoCL ends the process if a path in its cache has more than 1023."""
 
@@ -176,7 +178,19 @@ def _serves(folder: Path) -> bool:
         and os.access(folder, os.R_OK | os.W_OK | os.X_OK)
         and _executes(folder)
         and shutil.disk_usage(folder).free >= LEAST_FREE
+        and _takes(folder)
     )
+
+
+@lru_cache
+def _takes(folder: Path) -> bool:
+    """Whether a file as large as any kernel can be written: quotas and the rules of shares show in nothing else."""
+    try:
+        with tempfile.TemporaryFile(dir=folder) as file:
+            file.write(bytes(LARGEST))
+    except OSError:
+        return False
+    return True
 
 
 def _executes(folder: Path) -> bool:
@@ -215,7 +229,7 @@ def temporary_folder() -> Path:
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     if not _serves(folder):
         raise DeviceError(
-            f"kernel cache: expected {LEAST_FREE >> 20} MiB free, and a file system with execution, in the cache home or in "
+            f"kernel cache: expected {LEAST_FREE >> 20} MiB free, also by quota, and a file system with execution, in the cache home or in "
             f"{folder.parent}; set XDG_CACHE_HOME or TMPDIR"
         )
     return folder

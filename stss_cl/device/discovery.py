@@ -38,8 +38,8 @@ __all__ = [
 ]
 
 
-CHOICES = "OCL_ICD_VENDORS", "OCL_ICD_FILENAMES", "OPENCL_VENDOR_PATH", "POCL_DEVICES"
-"""Variables by which loaders and PoCL are told which runtimes and devices there are; one that is set wrong hides all."""
+CHOICES = "OCL_ICD_VENDORS", "OCL_ICD_FILENAMES", "OPENCL_VENDOR_PATH", "POCL_DEVICES", "POCL_CACHE_DIR"
+"""Variables by which loaders and PoCL are told which runtimes and devices there are, and where PoCL may write; a wrong one hides all."""
 
 
 def no_device() -> str:

@@ -1,6 +1,7 @@
 """Folders for compiled kernels: private ones, at any possible place, without code of other users."""
 
 import os
+import resource
 import shutil
 import stat
 import subprocess
@@ -251,8 +252,19 @@ def test_a_full_disk_is_left_alone(monkeypatch):
     assert caches.is_temporary()
     caches.temporary_folder.cache_clear()
     monkeypatch.setattr(shutil, "disk_usage", lambda path: room(1 << 20))
-    with pytest.raises(DeviceError, match=r"^kernel cache: expected 32 MiB free, and .* execution, in the cache home or in /"):
+    with pytest.raises(DeviceError, match=r"^kernel cache: expected 32 MiB free, .* execution, in the cache home or in /"):
         caches.private("pocl")
+
+
+def test_a_quota_that_is_used_up_is_a_full_disk(cache_home):
+    """The disk has room, and this user may write no more; here by the limit of a file's size."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, hard))
+    try:
+        with pytest.raises(DeviceError, match=r"^kernel cache: expected 32 MiB free, also by quota, "):
+            caches.private("pocl")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 @pytest.mark.parametrize("privileged", [True, False])

@@ -3,6 +3,7 @@
 import os
 import struct
 import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from stss.images.read_write import write_rgb
 from stss.sequence.reader import open_sequence
 from stss_ground.errors import InputError
 from tests.app.conftest import PLAIN, frame_channels, write_parts, write_raw
-from tests.hostile.cases import call, refused, unprivileged
+from tests.hostile.cases import call, refused, stss, unprivileged
 
 SIZE = (8, 16)
 FAR = 99999999
@@ -112,6 +113,21 @@ def test_a_file_whose_name_is_not_utf8_is_refused(sequence, monkeypatch, command
     (sequence / "seq.0001.exr").unlink()
     more = {"compare": [sequence], "compare --sequence": [sequence, sequence]}.get(command, [])
     require_line(call(*command.split(), sequence, *more), "seq.\\udcff.0002.exr: expected a name in UTF-8")
+
+
+OLD_LOCALE = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+"""A farm's, where Python does not take names for UTF-8; the files' names are in UTF-8."""
+
+
+def test_a_name_with_accents_in_an_old_locale(sequence):
+    """Python's library reads it. The command, whose reports are in UTF-8, says what to set."""
+    folder = sequence.rename(sequence.parent / "été")
+    refused(stss("check", folder, env=OLD_LOCALE), "expected a name in UTF-8; names here are ascii: set PYTHONUTF8=1")
+    assert stss("check", folder, env=OLD_LOCALE | {"PYTHONUTF8": "1"}).stdout.endswith("\n")
+    code = f"import os, stss; print(stss.open_sequence(os.fsdecode({os.fsencode(folder)})).numbers)"
+    environment = {**os.environ, **OLD_LOCALE}
+    process = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False)
+    assert process.stdout == "(1, 2)\n", process.stderr
 
 
 # Files that are none

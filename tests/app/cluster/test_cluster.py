@@ -1,6 +1,7 @@
 """`stss run --cluster`: the files of one process, even if workers die or hang."""
 
 import contextlib
+import errno
 import multiprocessing
 import os
 import signal
@@ -312,6 +313,22 @@ def hang_once(work, numbers):
         HUNG.append(numbers)
         NEVER.wait()
     return compute_chunk(work, numbers)
+
+
+def test_a_machine_without_shared_memory_is_told(monkeypatch):
+    """As a function's container, whose /dev/shm is missing or cannot be written to."""
+
+    def refuse(*_):
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+
+    monkeypatch.setattr("multiprocessing.context.SpawnContext.Lock", refuse)
+    with (
+        pytest.raises(
+            InputError, match=r"^--cluster local:2: processes share no lock here: /dev/shm: Read-only file system; run w"
+        ),
+        connect("local:2") as workers,
+    ):
+        workers.start()
 
 
 def test_a_worker_of_a_scheduler_may_hang(scheduler, frames, tmp_path, monkeypatch):

@@ -104,6 +104,9 @@ def test_without_a_device_a_variable_that_hides_it_is_named(machine, monkeypatch
     monkeypatch.setenv("POCL_DEVICES", "cuda")
     with pytest.raises(DeviceError, match=r"^no OpenCL device: POCL_DEVICES=cuda may hide it"):
         choose()
+    monkeypatch.setenv("POCL_CACHE_DIR", "/proc/none")  # PoCL, which cannot write there, has no device
+    with pytest.raises(DeviceError, match=r"^no OpenCL device: POCL_DEVICES=cuda and POCL_CACHE_DIR=/proc/none may hide it"):
+        choose()
 
 
 def test_a_named_device_is_taken_however_slow(machine, monkeypatch):
