@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from stss.images.color import BLOCK
+from stss_ground.cores import for_blocks
 from stss_ref.arrays import Image, Mask, Plane
 
 
@@ -19,6 +21,12 @@ def static_holes(stencil: Plane, normal: Image, valid: Mask) -> float | None:
     Returns:
         From 0 to 1; None where nothing static is seen.
     """
-    x, y, z = np.moveaxis(normal, -1, 0)  # any() along an axis of three takes five times as long
-    static = (stencil == 0) & ((x != 0) | (y != 0) | (z != 0))
-    return float((static & ~valid).sum() / static.sum()) if static.any() else None
+    height, width = stencil.shape
+
+    def count(rows: slice) -> tuple[int, int]:
+        x, y, z = np.moveaxis(normal[rows], -1, 0)  # any() along an axis of three takes five times as long
+        static = (stencil[rows] == 0) & ((x != 0) | (y != 0) | (z != 0))
+        return int(static.sum()), int((static & ~valid[rows]).sum())
+
+    surfaces, holes = np.sum(for_blocks(height, max(1, BLOCK // width), count), axis=0)
+    return float(holes / surfaces) if surfaces else None

@@ -7,11 +7,14 @@ from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+import OpenImageIO as oiio  # noqa: N813
 
+from stss.images.color import BLOCK
 from stss.images.encode import encode_exr, encode_png, require_finite
 from stss.images.headers import Header, Value, last_error, locate, open_image, read_header
-from stss.images.windows import PixelWindow, move
+from stss.images.windows import PixelWindow
 from stss_ground.arguments import listing, suggest
+from stss_ground.cores import for_blocks
 from stss_ground.errors import InputError
 from stss_ground.output.write_whole import write_whole
 from stss_ref.arrays import Array, Image, Mask, Plane
@@ -24,6 +27,9 @@ _READ_AS = {"uint32": "uint", "uint16": "uint16"}
 """Formats of whole numbers -> the kind of number to read them as; all others are read as floats."""
 _GAP = 4
 """Most unwanted channels between wanted ones that are read with them: a second read would decompress the file again."""
+_LINES = {"piz": 32, "b44": 32, "b44a": 32, "dwaa": 32, "htj2k32": 32, "dwab": 256, "htj2k256": 256}
+_USUAL_LINES = 16
+"""Lines to read at once, by compression: one chunk of it, so that all channels of them stay in the processor's cache."""
 
 
 def read_channels(path: Path, names: Sequence[str], window: PixelWindow | None = None) -> dict[str, Plane]:
@@ -35,45 +41,102 @@ def read_channels(path: Path, names: Sequence[str], window: PixelWindow | None =
         window: the pixels to return, 0 where a channel has none; None: the display window.
 
     Returns:
-        Name -> (H, W) float32, perhaps a view of a larger array. Whole numbers of an EXR keep their value; those of a PNG come as 0..1.
+        Name -> (H, W) float32. Whole numbers of an EXR keep their value; those of a PNG come as 0..1.
 
     Raises:
         InputError: as `read_header`; a channel is not there; or a pixel of the file cannot be decoded.
     """
     with open_image(path) as image:
-        header, places = locate(path, image)
-        for name in names:
-            if name not in places:
-                raise InputError(f"{path}: no channel {name}; it has {listing(header.channels)}{suggest(name, header.channels)}")
-        planes: dict[str, Plane] = {}
-        for part, first, stop, kind in _runs({(*places[n], _READ_AS.get(header.formats[n], "float")) for n in names}):
-            data = next(header.windows[name] for name, place in places.items() if place[0] == part)
+        found = locate(path, image)
+        window = window or found[0].display
+        planes = {name: np.zeros(window.size, np.float32) for name in names}
+        _read_planes(image, *found, [*planes.items()], window)
+    return planes
+
+
+def read_planes(path: Path, planes: Sequence[tuple[str, Plane]], window: PixelWindow) -> None:
+    """Read channels, by their full names, into planes (H, W) float32 of ``window``; pixels that a channel has not stay as they are.
+
+    Raises:
+        InputError: as `read_channels`.
+    """
+    with open_image(path) as image:
+        _read_planes(image, *locate(path, image), planes, window)
+
+
+def _read_planes(
+    image: oiio.ImageInput,
+    header: Header,
+    places: Mapping[str, tuple[int, int]],
+    planes: Sequence[tuple[str, Plane]],
+    window: PixelWindow,
+) -> None:
+    path = header.path
+    for name, _ in planes:
+        if name not in places:
+            raise InputError(f"{path}: no channel {name}; it has {listing(header.channels)}{suggest(name, header.channels)}")
+    for run in _runs({(*places[name], _READ_AS.get(header.formats[name], "float")) for name, _ in planes}):
+        part, first, stop, _ = run
+        to = [
+            (name, places[name][1] - first, plane)
+            for name, plane in planes
+            if places[name] in {(part, i) for i in range(first, stop)}
+        ]
+        like = next(name for name, place in places.items() if place[0] == part)
+        # A PNG has to be read in order, and OpenImageIO reads tiles whole.
+        by_lines = path.suffix.lower() == ".exr" and not image.spec(part, 0).tile_width
+        lines = _LINES.get(header.compression[like].split(":")[0], _USUAL_LINES) if by_lines else header.windows[like].height
+        _read_run(image, path, run, header.windows[like], lines, to, window)
+
+
+def _read_run(
+    image: oiio.ImageInput,
+    path: Path,
+    run: tuple[int, int, int, str],
+    data: PixelWindow,
+    lines: int,
+    to: Sequence[tuple[str, int, Plane]],
+    window: PixelWindow,
+) -> None:
+    """Read a run of channels, ``lines`` at a time, into planes: each has its name and its place in the run."""
+    part, first, stop, kind = run
+
+    def read(rows: slice) -> None:
+        block = PixelWindow(data.x, data.y + rows.start, data.width, rows.stop - rows.start)
+        if lines < data.height:
+            pixels = image.read_scanlines(part, 0, block.y, block.y + block.height, 0, first, stop, kind)
+        else:
             pixels = image.read_image(part, 0, first, stop, kind)
-            error = last_error(image)
-            if pixels is None or error or pixels.shape[:2] != data.size:
-                raise InputError(f"{path}: truncated or corrupt: {error or 'pixels cannot be decoded'}")
-            if kind == "float":
-                make_quiet(pixels)
-            for name in names:
-                if places[name][0] == part and first <= places[name][1] < stop:
-                    values = move(pixels[..., places[name][1] - first], data, window or header.display)
-                    if kind == "uint16":  # OpenImageIO multiplies: some levels come a little low
-                        values = values / 65535
-                    planes[name] = values.astype(np.float32, copy=False)
-                    if kind == "uint" and (bad := merge(values, planes[name])) is not None:
-                        raise InputError(f"{path}: channel {name}: {bad}")
-    return {name: planes[name] for name in names}
+        error = last_error(image)
+        if pixels is None or error or pixels.shape[:2] != block.size:
+            raise InputError(f"{path}: truncated or corrupt: {error or 'pixels cannot be decoded'}")
+        if kind == "float":
+            make_quiet(pixels)
+        there, here = block.within(window), window.within(block)
+        for name, i, plane in to:
+            values = pixels[..., i][here]
+            if kind == "uint16":  # OpenImageIO multiplies: some levels come a little low
+                values = values / 65535
+            plane[there] = values
+            if kind == "uint" and (bad := merge(values, plane[there], there)) is not None:
+                raise InputError(f"{path}: channel {name}: {bad}")
+
+    for_blocks(data.height, lines, read)
 
 
-def merge(values: Array, plane: Plane) -> str | None:
-    """The fault where whole numbers (H, W) do not fit into 32-bit floats: two objects would have one number."""
+def merge(values: Array, plane: Plane, place: tuple[slice, slice]) -> str | None:
+    """The fault where whole numbers (H, W) do not fit into 32-bit floats: two objects would have one number.
+
+    ``plane``: the same as floats, which are this ``place`` of an image.
+    """
     if not values.size or values.max() <= WHOLE:
         return None
     bad = (values > WHOLE) & (plane.astype(np.float64) != values)
     if not bad.any():
         return None
     y, x = np.argwhere(bad)[0]
-    return f"expected whole numbers up to {WHOLE}, beyond which 32-bit floats merge them; found {values[y, x]} at (y={y}, x={x})"
+    where = f"(y={place[0].start + y}, x={place[1].start + x})"
+    return f"expected whole numbers up to {WHOLE}, beyond which 32-bit floats merge them; found {values[y, x]} at {where}"
 
 
 def make_quiet(pixels: Array) -> None:
@@ -185,12 +248,18 @@ def encode_rgb(
     """
     if path.suffix.lower() == ".exr":
         names = (*"RGB", *(more or {}))
-        pixels = np.concatenate([image, *(plane[..., None] for plane in (more or {}).values())], axis=-1, dtype=np.float32)
-        return encode_exr(path, names, pixels, names, metadata or {}, windows)
+        planes = (image, *(plane[..., None] for plane in (more or {}).values()))
+        parts = [np.asarray(plane, np.float32) for plane in planes]
+        return encode_exr(path, names, parts, names, metadata or {}, windows)
     if path.suffix.lower() == ".png":
         require_finite(path, tuple("RGB"), image)
-        pixels = np.rint(np.clip(image.astype(np.float64), 0, 1) * 255).astype(np.uint8)
-        return encode_png(path, np.ascontiguousarray(pixels), metadata or {})
+        pixels = np.empty(image.shape, np.uint8)
+
+        def round_rows(rows: slice) -> None:
+            pixels[rows] = np.rint(np.clip(image[rows].astype(np.float64), 0, 1) * 255)
+
+        for_blocks(len(pixels), max(1, BLOCK // image.shape[1]), round_rows)
+        return encode_png(path, pixels, metadata or {})
     raise InputError(f"{path}: expected a name ending in .exr or .png")
 
 

@@ -4,14 +4,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stss_ref.arrays import Mask
-
-Scalar = TypeVar("Scalar", bound=np.generic)
 
 
 class PixelWindow(NamedTuple):
@@ -58,15 +55,6 @@ def union(windows: Iterable[PixelWindow]) -> PixelWindow:
     parts = [*windows]
     x, y = min(w.x for w in parts), min(w.y for w in parts)
     return PixelWindow(x, y, max(w.x + w.width for w in parts) - x, max(w.y + w.height for w in parts) - y)
-
-
-def move(plane: NDArray[Scalar], window: PixelWindow, to: PixelWindow) -> NDArray[Scalar]:
-    """An array (H, W, ...) of ``window`` as an array of ``to``, 0 outside ``window``; the same array if the windows are equal."""
-    if window == to:
-        return plane
-    result = np.zeros((*to.size, *plane.shape[2:]), plane.dtype)
-    result[window.within(to)] = plane[to.within(window)]
-    return result
 
 
 def _overlap(start: int, length: int, other: int, length_other: int) -> slice:

@@ -199,10 +199,11 @@ def to_specification(
     buffers["motion"] = motion if outside is None else np.where(outside[..., None], np.float32(0), motion)
     buffers["normal"] = normal
     buffers["position"] = (position / profile.units_per_cm).astype(np.float32)
-    for buffer in ("normal", "nov", "position", "stencil", "base_color", "roughness", "metallic"):
-        value = BACKGROUND_POSITION if buffer == "position" else 0
-        buffers[buffer] = np.where(background[..., None], np.float32(value), buffers[buffer])
-    return np.where(background, np.float32(np.inf), depth)
+    if background.any():
+        depth[background] = np.inf
+        for buffer in ("normal", "nov", "position", "stencil", "base_color", "roughness", "metallic"):
+            np.copyto(buffers[buffer], BACKGROUND_POSITION if buffer == "position" else 0, where=background[..., None])
+    return depth
 
 
 def motion_in_pixels(motion: Image, rule: MotionRule, display: tuple[int, int] | None = None) -> Image:
@@ -254,8 +255,13 @@ def world_normal(normal: Image, rule: NormalRule) -> tuple[Image, Mask]:
 
 def normal_dot_view(normal: Image, position: Image, camera: Array) -> Plane:
     """NoV (H, W): ``dot(normalize(normal), normalize(camera - position))``, 0 where either has no length or is not finite."""
-    n = normal.astype(np.float64)
-    view = camera - position.astype(np.float64)
+    # Component by component: NumPy is slow where the axis that lies together has three numbers.
+    n = [normal[..., i].astype(np.float64) for i in range(3)]
+    view = [camera[i] - position[..., i].astype(np.float64) for i in range(3)]
+
+    def dot(a: list[Array], b: list[Array]) -> Array:
+        return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        nov = (n * view).sum(axis=-1) / np.sqrt((n * n).sum(axis=-1) * (view * view).sum(axis=-1))
+        nov = dot(n, view) / np.sqrt(dot(n, n) * dot(view, view))
     return np.where(np.isfinite(nov), np.clip(nov, -1, 1), 0).astype(np.float32)

@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from stss.images.headers import Value
-from stss.images.read_write import read_channels
+from stss.images.read_write import read_planes
 from stss.images.windows import PixelWindow
 from stss.sequence.camera import CameraPose
 from stss.sequence.channels import Source
@@ -77,15 +77,15 @@ def read_stored(
         Name -> (H, W, channels) float32 of both, 0 where a part has no pixels; without the colour where ``color`` is False.
     """
     buffers = {buffer: source for buffer, source in frame.sources.items() if color or buffer != "color"}
-    sources = [*buffers.values(), *also.values()]
-    planes = {
-        path: read_channels(path, sorted({name for s in sources if s.path == path for name in s.names}), canvas)
-        for path in {source.path for source in sources}
-    }
     arrays, carried = (
-        {name: np.stack([planes[s.path][channel] for channel in s.names], axis=-1) for name, s in of.items()}
-        for of in (buffers, also)
+        {name: np.zeros((*canvas.size, len(source.names)), np.float32) for name, source in of.items()} for of in (buffers, also)
     )
+    planes: dict[Path, list[tuple[str, Array]]] = {}
+    for of, to in ((buffers, arrays), (also, carried)):
+        for name, source in of.items():
+            planes.setdefault(source.path, []).extend((full, to[name][..., i]) for i, full in enumerate(source.names))
+    for path, wanted in planes.items():
+        read_planes(path, wanted, canvas)
     for buffer, value in constants.items():
         if buffer not in arrays:
             arrays[buffer] = np.full((*canvas.size, 1), value, dtype=np.float32)

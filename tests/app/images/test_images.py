@@ -10,7 +10,9 @@ import OpenImageIO as oiio  # noqa: N813
 import pytest
 
 from stss.images import read_write as images
+from stss.images.encode import encode_exr
 from stss.images.headers import read_header
+from stss.images.windows import PixelWindow
 from stss.quality.metrics import to_8bit
 from stss_ground.errors import InputError
 from tests.app.conftest import write_parts, write_raw
@@ -58,6 +60,49 @@ def test_what_a_compression_changes_is_known(tmp_path, kind, number_type):
     assert [name for name in names if header.lossy(name)] == changes
 
 
+@pytest.mark.parametrize("order", ["increasingY", "decreasingY"])
+@pytest.mark.parametrize("tile", [0, 16])
+@pytest.mark.parametrize("kind", ["none", "zips", "zip", "piz", "dwaa:45", "dwab", "htj2k256"])
+def test_blocks_of_lines_are_the_whole_image(tmp_path, kind, tile, order):
+    """Channels of several formats, whose number of lines is no multiple of a block's, and that begin above the first line."""
+    random, path = np.random.default_rng(0), tmp_path / "a.exr"
+    pixels = random.random((300, 9, 7), np.float32)
+    spec = oiio.ImageSpec(9, 300, 7, "float")
+    spec.channelnames = tuple("RGBAdez")
+    spec.channelformats = tuple(map(oiio.TypeDesc, ("half",) * 4 + ("float",) * 3))
+    spec.x, spec.y, spec.tile_width, spec.tile_height = -3, -37, tile, tile
+    spec.attribute("compression", kind)
+    spec.attribute("openexr:lineOrder", order)
+    output = oiio.ImageOutput.create(str(path))
+    assert output.open(str(path), spec), output.geterror()
+    assert output.write_image(pixels), output.geterror()
+    output.close()
+    with closing(oiio.ImageInput.open(str(path))) as file:
+        want = dict(zip(file.spec().channelnames, np.moveaxis(file.read_image(0, 0, 0, 7, "float"), -1, 0), strict=True))
+    window = read_header(path).windows["R"]
+    assert (window.x, window.y) == (-3, -37)
+    got = images.read_channels(path, ["z", "R", "d", "A"], window)
+    for name, plane in got.items():
+        np.testing.assert_array_equal(plane, want[name])
+
+
+def test_several_arrays_are_one_image(tmp_path):
+    """As encoded in blocks of lines, into a data window that begins above the first line."""
+    random, path = np.random.default_rng(0), tmp_path / "a.exr"
+    parts = [random.random((150, 5, n)).astype(np.float32) for n in (3, 1, 2)]
+    parts[2][149, 4, 1] = 1e6  # beyond half's range
+    window = PixelWindow(-2, -70, 5, 150)
+    names = tuple("RGBAuv")
+    path.write_bytes(encode_exr(path, names, parts, names, {}, (window, window)))
+    header, whole = read_header(path), np.concatenate(parts, axis=-1)
+    assert [name for name in names if header.formats[name] == "float"] == ["v"]
+    for i, (name, plane) in enumerate(images.read_channels(path, names).items()):
+        np.testing.assert_array_equal(plane, whole[..., i].astype(np.float32 if name == "v" else np.float16))
+    parts[2][7, 3, 0] = np.nan
+    with pytest.raises(ValueError, match=r"a\.exr: channel u: 1 non-finite values, first at \(y=7, x=3\)"):
+        encode_exr(path, names, parts, names, {})
+
+
 def test_a_signalling_nan_is_read_as_a_quiet_one(tmp_path):
     """Before a cast, at which NumPy warns of one."""
     plane = np.ones((3, 5), np.float32)
@@ -79,10 +124,12 @@ def test_whole_numbers_that_run_together_are_refused(tmp_path):
     ids = np.full((3, 4, 1), 2**24, np.uint32)
     write_parts(tmp_path / "a.exr", (ids, ("id",), {}))
     assert images.read_channels(tmp_path / "a.exr", ["id"])["id"].max() == 2**24
-    ids[1, 2] += 1
+    ids = np.repeat(ids, 20, axis=0)
+    ids[37, 2] += 1
+    ids[59, 1] += 1
     write_parts(tmp_path / "a.exr", (ids, ("id",), {}))
     with pytest.raises(
-        InputError, match=r"channel id: expected whole numbers up to 16777216, .*; found 16777217 at \(y=1, x=2\)"
+        InputError, match=r"channel id: expected whole numbers up to 16777216, .*; found 16777217 at \(y=37, x=2\)"
     ):
         images.read_channels(tmp_path / "a.exr", ["id"])
 

@@ -11,7 +11,7 @@ from stss.check_sequence.report import check
 from stss.demo import frame_channels
 from stss.images.headers import read_header
 from stss.images.read_write import encode_rgb, read_channels, read_rgb, write_rgb
-from stss.images.windows import PixelWindow, move, union
+from stss.images.windows import PixelWindow, union
 from stss.sequence.profiles import load_profile
 from stss.sequence.reader import SequenceOptions, open_sequence
 from stss_ground.errors import InputError
@@ -23,12 +23,22 @@ FRAMES = 4
 windows = st.builds(PixelWindow, st.integers(-9, 9), st.integers(-9, 9), st.integers(1, 7), st.integers(1, 7))
 
 
+def move(plane, window, to):
+    """An array (H, W) of a window as an array of another, 0 outside the first."""
+    result = np.zeros(to.size, plane.dtype)
+    result[window.within(to)] = plane[to.within(window)]
+    return result
+
+
 @given(window=windows, to=windows)
-def test_pixels_keep_their_place(window, to):
-    """Against a dictionary of places."""
+def test_pixels_keep_their_place(tmp_path_factory, window, to):
+    """Against a dictionary of places; of the whole image, and as a file is read, in blocks of 16 lines."""
+    window = window._replace(height=3 * window.height)
     plane = np.arange(1, window.width * window.height + 1).reshape(window.size)
     there = {(window.x + x, window.y + y): plane[y, x] for y in range(window.height) for x in range(window.width)}
-    got = move(plane, window, to)
+    got, path = move(plane, window, to), tmp_path_factory.getbasetemp() / "place.exr"
+    write(path, [({"R": plane}, window)], union([window, to]))
+    assert np.array_equal(read_channels(path, ["R"], to)["R"], got)
     assert got.shape == to.size
     assert all(got[y, x] == there.get((to.x + x, to.y + y), 0) for y in range(to.height) for x in range(to.width))
     assert np.array_equal(window.mask(to), got > 0)
