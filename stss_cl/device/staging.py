@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import math
-import weakref
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -13,10 +11,11 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from stss_cl.device.discovery import Device
+from stss_cl.device.recycling import Block, Recycler
 
 FLAGS = cl.mem_flags
-MOST_FREE = 8
-"""Most unused pieces of a size that are kept."""
+MOST_FREE = 64
+"""Most unused blocks that are kept."""
 
 
 class Staging:
@@ -32,8 +31,8 @@ class Staging:
         self.uploads, self.downloads = cl.CommandQueue(device.context), cl.CommandQueue(device.context)
         # An in-order queue finishes all its commands before it maps: so new memory is mapped in an empty queue.
         self._mapping = cl.CommandQueue(device.context)
-        self._free: dict[int, list[NDArray[np.uint8]]] = {}
-        self._copying: list[tuple[Any, NDArray[np.uint8]]] = []
+        self._blocks = Recycler(self._lock, MOST_FREE)
+        self._copying: list[tuple[Any, Block]] = []
 
     def upload(self, array: NDArray[Any]) -> cl.Buffer:
         """A buffer on the device with the content of ``array``, which may be written to at once; does not wait."""
@@ -46,38 +45,24 @@ class Staging:
         copying, self._copying = self._copying, []
         for event, block in copying:
             if event.command_execution_status == cl.command_execution_status.COMPLETE:
-                self._give_back(block)
+                self._blocks.give_back(block)
             else:
                 self._copying.append((event, block))  # dropping an event would wait for its end
-        block = self._take(array.nbytes)
+        block = self._blocks.take(array.nbytes)
         np.copyto(block[: array.nbytes].view(array.dtype).reshape(array.shape), array)
         where = self._queue if queue is None else queue
         self._copying.append((cl.enqueue_copy(where, buffer, block[: array.nbytes], is_blocking=False), block))
         where.flush()  # the device begins while the next array is brought into page-locked memory
 
     def array(self, shape: tuple[int, ...], dtype: np.dtype[Any]) -> NDArray[Any]:
-        """Page-locked memory for the caller; it is reused once the caller has dropped it and all its views."""
-        count = math.prod(shape)
-        block = self._take(dtype.itemsize * count)
-        memory: Any = block
-        array = np.frombuffer(memoryview(memory), dtype, count).reshape(shape)
-        whole: Any = array.base
-        weakref.finalize(whole, self._give_back, block).atexit = False
-        return array
+        """Page-locked memory for the caller, as `Recycler.array`."""
+        return self._blocks.array(shape, dtype)
 
-    def _take(self, size: int) -> NDArray[np.uint8]:
-        free = self._free.setdefault(size, [])
-        if free:
-            return free.pop()
+    def _lock(self, size: int) -> Block:
         buffer = cl.Buffer(self._queue.context, FLAGS.READ_WRITE | FLAGS.ALLOC_HOST_PTR, size)
         how: Any = cl.map_flags.READ | cl.map_flags.WRITE
         bytes_: Any = np.uint8
         return cl.enqueue_map_buffer(self._mapping, buffer, how, 0, (size,), bytes_)[0]
-
-    def _give_back(self, block: NDArray[np.uint8]) -> None:
-        free = self._free[block.nbytes]
-        if len(free) < MOST_FREE:
-            free.append(block)
 
 
 _by_context: WeakKeyDictionary[cl.Context, Staging] = WeakKeyDictionary()
