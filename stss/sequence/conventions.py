@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -259,7 +259,7 @@ def normal_dot_view(normal: Image, position: Image, camera: Array) -> Plane:
     n = [normal[..., i].astype(np.float64) for i in range(3)]
     view = [camera[i] - position[..., i].astype(np.float64) for i in range(3)]
 
-    def dot(a: list[Array], b: list[Array]) -> Array:
+    def dot(a: Sequence[Array], b: Sequence[Array]) -> Array:
         return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
