@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The progress of a long command: a bar on a terminal, a line a minute in a log file."""
+"""The progress of a long command: a bar on a terminal, a line after ten seconds and each minute in a log file."""
 
 from __future__ import annotations
 
@@ -16,6 +16,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 T = TypeVar("T")
 A_MINUTE = 60.0
 """Seconds between the lines in a log file."""
+TEN_SECONDS = 10.0
+"""Seconds until the first of them, which says what a command waits for: kernels that are built take half a minute."""
 Track = Callable[[Sequence[int]], Iterable[int]]
 """Yields the numbers that it is given, and may show how many are done: `track`, or ``iter``."""
 
@@ -47,7 +49,9 @@ def show_progress(
     start, count, label, ended = time.monotonic(), 0, text, Event()
 
     def report() -> None:
-        while not ended.wait(every):
+        wait = min(every, TEN_SECONDS)
+        while not ended.wait(wait):
+            wait = every
             took = time.monotonic() - start
             rate = count / took
             pace = f", {rate:.2f} {unit}/s, {timedelta(seconds=round((total - count) / rate))} left" if count > 0 else ""

@@ -52,6 +52,15 @@ def test_a_log_file_gets_a_line_a_minute_even_while_nothing_is_done(monkeypatch)
     assert lines_of(console) == lines
 
 
+def test_a_log_file_says_soon_what_a_command_waits_for(monkeypatch):
+    monkeypatch.setattr(progress, "TEN_SECONDS", 0.01)
+    console = Console(file=io.StringIO(), width=20)
+    with show_progress(console, 10, text="building kernels", every=3600):
+        wait_for(console, 1)
+        time.sleep(0.05)
+    assert lines_of(console) == ["0 of 10 frames in 0:00:00: building kernels"]
+
+
 def test_a_step_is_done_when_the_next_begins():
     console = Console(file=io.StringIO(), force_terminal=True, width=120)
     with show_steps(console, 2) as begin:
