@@ -82,7 +82,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(prog="python -m training.validate", description=__doc__)
     parser.add_argument("data", type=Path)
     parser.add_argument("--weights", help="safetensors file, or the name of a set; default: bilinear alone")
-    parser.add_argument("--split", default="test", choices=("training", "validation", "test"))
+    parser.add_argument(
+        "--split", default="validation", help="test: once, at the end", choices=("training", "validation", "test")
+    )
     parser.add_argument("--most", type=int, default=10**6, help="frames of each kind")
     options = parser.parse_args(arguments)
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")

@@ -112,7 +112,9 @@ def test_weights_of_the_other_hole_test_are_trained_and_not_validated(data, tmp_
     with pytest.raises(InputError, match="expected one hole test, found footprint and paper"):
         average([authors, "antialiased", "-o", str(tmp_path / "mean.safetensors")])
     run(data, tmp_path / "run", 4, "--initial", authors)
-    validate([str(data), "--weights", str(tmp_path / "run" / "weights.safetensors"), "--split", "validation"])
+    validate(
+        [str(data), "--weights", str(tmp_path / "run" / "weights.safetensors")]
+    )  # ``test`` is read where it is asked for alone
 
 
 def test_options_reach_the_run(data, tmp_path):
