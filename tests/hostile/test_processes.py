@@ -1,7 +1,9 @@
 """Processes: closed streams, little memory, an interrupt at any moment: one line or none, never a traceback."""
 
 import os
+import re
 import resource
+import shutil
 import signal
 import subprocess
 import sys
@@ -139,6 +141,21 @@ main()
         process.send_signal(signal.SIGINT)
         out, text = process.communicate("ended\n", timeout=60)
     assert (process.returncode, out, text) == (130, "ended\n", "")
+
+
+def test_the_signal_of_podman_stop_ends_the_first_process_of_a_container(frames, tmp_path):
+    """The first process of a namespace ignores signals without a handler, SIGTERM too; after ten seconds it would be killed."""
+    (name,) = re.findall(r"^STOPSIGNAL (\w+)$", Path("packaging/Containerfile").read_text(), re.MULTILINE)
+    alone = ("unshare", "--pid", "--fork", "--kill-child")
+    if not shutil.which("unshare") or subprocess.run([*alone, "true"], check=False, capture_output=True).returncode:
+        pytest.skip("no namespace of processes: unshare is not there, or not allowed")
+    words = [*alone, sys.executable, "-m", "stss", "run", frames, "-o", tmp_path / "out", "--backend", "ref"]
+    with subprocess.Popen(words, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr.readline().startswith("profile: ")
+        first = int(Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text())
+        os.kill(first, getattr(signal, name))
+        process.communicate(timeout=60)
+    assert process.returncode == 130
 
 
 def test_an_interrupt_of_a_command_says_nothing(monkeypatch, capsys, tmp_path):
