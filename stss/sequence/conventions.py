@@ -11,9 +11,11 @@ import numpy as np
 
 from stss.frames.buffers import Buffers
 from stss.frames.check_buffers import ROUNDING, float_hint, require_distinct, require_unmasked
+from stss.images.color import BLOCK
 from stss.sequence.camera import CameraPose
 from stss.sequence.profiles import BUFFERS, CONSTANTS, DepthRule, MotionRule, NormalRule, Profile, load_profile
 from stss_ground.arguments import require_kind, suggest
+from stss_ground.cores import for_blocks
 from stss_ground.errors import InputError
 from stss_ref.arrays import Array, Image, Mask, Plane
 
@@ -183,6 +185,27 @@ def to_specification(
     ``display``: (H, W) of the frame without its overscan, the side of which a motion may be a share of; None: of the buffers.
     ``outside``: (H, W) pixels that are in no data window: nothing was hit there, and nothing moves.
     """
+    height, width = size = buffers["depth"].shape[:2]
+    depth = np.empty(size, np.float32)
+    done = {"nov": np.empty((*size, 1), np.float32)} | buffers
+
+    def convert_rows(rows: slice) -> None:  # a block, so that what is computed on the way stays in the processor's cache
+        stored = {name: plane[rows] for name, plane in buffers.items()}
+        part, beyond = {**stored}, None if outside is None else outside[rows]
+        depth[rows] = _convert_part(part, profile, camera, display or (height, width), beyond)
+        for name, plane in part.items():
+            if plane is not stored.get(name):
+                done[name][rows] = plane
+
+    for_blocks(height, max(1, BLOCK // width), convert_rows)
+    buffers |= done
+    return depth
+
+
+def _convert_part(
+    buffers: dict[str, Array], profile: Profile, camera: CameraPose | None, display: tuple[int, int], outside: Mask | None
+) -> Plane:
+    """`to_specification` of some rows of a frame."""
     depth = linear_depth(buffers["depth"][..., 0], profile.depth)
     normal, background = world_normal(buffers["normal"], profile.normal)
     background |= ~np.isfinite(depth) if outside is None else ~np.isfinite(depth) | outside

@@ -14,7 +14,6 @@ import numpy as np
 
 from stss.frames.buffers import Buffers
 from stss.frames.display_frame import WINDOW
-from stss.images.color import BLOCK
 from stss.images.headers import MAX_BYTES, MAX_SIDE, Header, read_header
 from stss.images.windows import PixelWindow, union
 from stss.sequence.background import Background, background_motion, projection_of, projection_of_table
@@ -27,10 +26,9 @@ from stss.sequence.projection import Projection
 from stss.sequence.raw_frame import CARRIED, UNIT_RANGE, NonFinite, RawFrame, read_stored, settle_all_finite, settle_non_finite
 from stss.sequence.solve_camera import MIN_PIXELS, solve_camera
 from stss_ground.arguments import listing, path_of, require_choice, require_kind, suggest
-from stss_ground.cores import for_blocks
 from stss_ground.errors import InputError
 from stss_ground.progress import Track
-from stss_ref.arrays import Array, Mask, Plane
+from stss_ref.arrays import Array, Mask
 
 SURFACE = ("depth", "normal", "position")
 """Buffers without which a pixel shows no surface."""
@@ -195,7 +193,7 @@ class Sequence:
         if outside is not None:
             arrays["depth"] = np.where(outside[..., None], np.float32(np.nan), arrays["depth"])
         camera = frame.camera if "nov" in arrays or frame.camera is not None else self._solve(number, arrays)
-        depth = self._convert(arrays, camera, outside)
+        depth = to_specification(arrays, self.profile, camera, display=self.display.size, outside=outside)
         settle_non_finite(arrays, frame.sources, self.non_finite)
         settle_all_finite(carried, others, self.non_finite, into=carried)
         for buffer in UNIT_RANGE:
@@ -214,22 +212,6 @@ class Sequence:
             metallic=arrays["metallic"][..., 0],
             carried=carried,
         )
-
-    def _convert(self, arrays: dict[str, Array], camera: CameraPose | None, outside: Mask | None) -> Plane:
-        """`to_specification` block by block, so that what it computes stays in the processor's cache; writes to ``arrays``."""
-        depth = np.empty(self.size, np.float32)
-        done = {"nov": np.empty((*self.size, 1), np.float32)} | arrays
-
-        def convert(rows: slice) -> None:
-            part = {name: array[rows] for name, array in arrays.items()}
-            beyond = None if outside is None else outside[rows]
-            depth[rows] = to_specification(part, self.profile, camera, display=self.display.size, outside=beyond)
-            for name, plane in part.items():
-                done[name][rows] = plane
-
-        for_blocks(self.size[0], max(1, BLOCK // self.size[1]), convert)
-        arrays |= done
-        return depth
 
     def carries(self, also: Collection[str] = ()) -> tuple[str, ...]:
         """Names of the planes that are carried with the colour of the first rendered frame, see `load`."""
