@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from stss.frames.buffers import Buffers
-from stss_ref.arrays import Image
+from stss_ground.cores import for_blocks
+from stss_ref.arrays import Image, Mask, Plane
 from stss_ref.warp import warp
 
 MOVING = 0.25
@@ -76,12 +77,16 @@ def _differences(before: Buffers, now: Buffers) -> Image:
     earlier, current = (np.concatenate([frame.base_color, frame.normal], axis=-1) for frame in (before, now))
     with np.errstate(over="ignore", invalid="ignore"):
         usable = np.isfinite(now.depth) & (np.sqrt((now.motion.astype(np.float64) ** 2).sum(axis=-1)) > MOVING)
-    errors: list[Image] = []
-    for swap, x, y in CHOICES.values():
+    choices = list(CHOICES.values())
+
+    def differ(of: slice) -> tuple[Plane, Mask]:
+        swap, x, y = choices[of.start]
         motion = (now.motion[..., ::-1] if swap else now.motion) * np.array((x, y), dtype=np.float32)
         warped, inside = warp(earlier, motion)
-        usable &= inside
-        errors.append(np.abs(warped - current).mean(axis=-1))
+        return np.abs(warped - current).mean(axis=-1), inside
+
+    errors, insides = zip(*for_blocks(len(choices), 1, differ), strict=True)
+    usable &= np.logical_and.reduce(insides)
     if not usable.any():
         return np.zeros((0, len(CHOICES)), dtype=np.float32)
     stack = np.stack(errors, axis=-1)[usable] / np.abs(current[usable]).max()

@@ -48,8 +48,8 @@ BYTES_PER_PIXEL = 20
 """Of an input pixel: four pixels of three halves, compressed by zip."""
 START = 3.0
 """Seconds until a process computes its first frame, with kernels that are compiled: imports, weights, the device."""
-SECONDS_PER_PIXEL = 5e-7
-"""Of one core: 110 ms for 960 x 544 on two cores (docs/benchmarks.md), and files."""
+SECONDS_PER_PIXEL = 1.3e-6
+"""Of one core, from files to files: 0.7 s for 984 x 552 (docs/benchmarks.md)."""
 
 
 @dataclass(frozen=True)
