@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
@@ -34,7 +35,8 @@ def require_places(
 
     Raises:
         InputError: a file that is written is one that is read, or the list or the lock of their folder; a named file is a folder, lies in
-            no folder, or is one that another option names or that is written into a folder; a folder is one of ``inputs``.
+            no folder, or is one that another option names or that is written into a folder; a folder is one of ``inputs``, or cannot be
+            written to.
     """
     inputs, folders = list(inputs), list(folders)
     places = [*new_folders, *(folder.path for folder in folders)]
@@ -45,6 +47,7 @@ def require_places(
         with tell_errors(folder.path):
             for path in folder.present():
                 _require_free(str(path), path, owners)
+            _require_writable(folder.path)
             among = {path.parent for path in inputs}
             for place in folder.folders():
                 if any(same_place(place, path) for path in among):
@@ -65,6 +68,14 @@ def require_places(
                     f"{option} {path}: the same file as one that is written into {folder.path}; expected another place"
                 )
         owners |= dict.fromkeys(keys_of(path), f"{option} {path}")
+
+
+def _require_writable(folder: Path) -> None:
+    """Raise InputError where the system knows already that a folder cannot be made or written to."""
+    place = next(each for each in (folder, *folder.absolute().parents) if os.path.lexists(each))
+    if place.is_dir() and not os.access(place, os.W_OK | os.X_OK):
+        made = "" if place == folder else f": the folder cannot be made: {place}"
+        raise InputError(f"{folder}{made}: cannot be written to")
 
 
 def _will_be(place: Path, folders: Iterable[Path]) -> bool:

@@ -269,3 +269,7 @@ def test_a_mistake_is_said_before_a_device_is_opened(frames, tmp_path, monkeypat
     for option in (["--frames", "1:99999"], ["--cuts", "77"], ["--resume", "--overwrite"]):
         refused(stss("run", frames, "-o", tmp_path / "out", "--weights", "bilinear", *option), option[0])
     refused(stss("run", frames, "-o", frames, "--weights", "bilinear"), "the folder of the frames that are read")
+    (tmp_path / "locked").mkdir()
+    monkeypatch.setattr("os.access", lambda place, mode: place != tmp_path / "locked")  # to root all folders are open
+    for out in ("locked", "locked/deep/out"):
+        refused(stss("run", frames, "-o", tmp_path / out, "--weights", "bilinear"), "cannot be written to")
