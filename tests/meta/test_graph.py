@@ -404,6 +404,15 @@ def test_what_is_not_known_is_listed_and_the_part_before_it_judged(tmp_path):
     assert (outcome.passes, outcome.wrong) == (False, ("nothing was judged",))
 
 
+def test_an_output_may_be_without_a_shape(tmp_path):
+    """Other exporters than PyTorch's leave it out."""
+    proto = small_model(np.float32)
+    proto.graph.output[0].type.tensor_type.ClearField("shape")
+    onnx.save(proto, tmp_path / "m.onnx")
+    model = load_model(tmp_path / "m.onnx")
+    assert judge_port(model, NumpyPort(model), F32).passes
+
+
 @pytest.mark.parametrize(
     ("words", "words_of"),
     [
