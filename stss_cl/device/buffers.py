@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from stss_cl.device.discovery import Device
 from stss_cl.device.parts import Parts, make_zeros
-from stss_cl.device.recycling import of_host
+from stss_cl.device.recycling import recycler_of
 from stss_cl.device.staging import so_far, staging
 from stss_ref.arrays import Array, ArrayError, require_dtype
 
@@ -233,7 +233,7 @@ class Outgoing:
             self.array: Any = cla.empty(device.queue, shape, dtype, allocator=device.pool)
             self.data = self.array.base_data
         elif device.is_cpu:
-            self.array = of_host.array(shape, np.dtype(dtype))
+            self.array = recycler_of(device.context).array(shape, np.dtype(dtype))
             self.data = cl.Buffer(device.context, FLAGS.READ_WRITE | FLAGS.USE_HOST_PTR, hostbuf=self.array)
         else:
             self.array = staging(device).array(shape, np.dtype(dtype))

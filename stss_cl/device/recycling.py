@@ -8,8 +8,10 @@ import weakref
 from collections import deque
 from collections.abc import Callable
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
+import pyopencl as cl
 from numpy.typing import NDArray
 
 Block = NDArray[np.uint8]
@@ -54,5 +56,11 @@ class Recycler:
         return array
 
 
-of_host = Recycler(lambda size: np.empty(size, np.uint8), most=8)
-"""The memory of arrays that a processor's kernels write in place."""
+_by_context: WeakKeyDictionary[cl.Context, Recycler] = WeakKeyDictionary()
+
+
+def recycler_of(context: cl.Context) -> Recycler:
+    """The memory of the arrays that a processor's kernels write in place; kept as long as the context."""
+    if context not in _by_context:
+        _by_context[context] = Recycler(lambda size: np.empty(size, np.uint8), most=8)
+    return _by_context[context]

@@ -1,11 +1,14 @@
 """Memory that is used again: never while somebody may still see it."""
 
+import gc
 import threading
+import weakref
 
 import numpy as np
 import pytest
 
-from stss_cl.device.recycling import Recycler
+from stss_cl.device.recycling import Recycler, recycler_of
+from tests.cl.conftest import anew
 
 FLOAT = np.dtype(np.float32)
 
@@ -46,6 +49,19 @@ def test_other_sizes_are_made_anew_and_few_are_kept(recycler):
     again = [recycler.array((n,), FLOAT) for n in sizes]
     assert len(again) == 4
     assert sorted(recycler.made) == [8, 8, 12, 16, 20]  # the first that came back did not stay
+
+
+def test_memory_goes_with_the_context(device):
+    device = anew(device)
+    block = recycler_of(device.context).take(64)
+    gone = weakref.ref(block)
+    recycler_of(device.context).give_back(block)
+    del block
+    assert recycler_of(device.context).take(64) is gone()
+    recycler_of(device.context).give_back(gone())
+    del device
+    gc.collect()
+    assert gone() is None
 
 
 def test_threads_do_not_share_an_array(recycler):
