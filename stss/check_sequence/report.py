@@ -261,10 +261,11 @@ def _frames(numbers: Iterable[int], count: int) -> str:
 
 
 def _frame_table(sequence: Sequence, numbers: list[int]) -> dict[str, object]:
+    rendered = sequence.rendered  # all frames are looked at to find it
     return {
         str(n): {
             "files": [path.name for path in sequence.files(n)],
-            "color": n in sequence.rendered,
+            "color": n in rendered,
             "missing": [buffer for buffer in BUFFERS if buffer != "color" and not sequence.has(n, buffer)],
         }
         for n in numbers

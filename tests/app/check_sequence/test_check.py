@@ -88,6 +88,17 @@ def test_how_many_frames_were_looked_at_is_said_and_all_may_be(write_frames):
     assert any(line.startswith("looked at: values of all frames") for line in texts(every, "note"))
 
 
+def test_the_time_grows_as_the_number_of_frames(write_frames, monkeypatch):
+    """20,000 frames took ten minutes: each asked which of all frames were rendered."""
+    calls, rendered, found = [], Sequence.rendered, []
+    monkeypatch.setattr(Sequence, "rendered", property(lambda self: calls.append(0) or rendered.fget(self)))
+    for count in (12, 24):
+        calls.clear()
+        check(write_frames(range(count), folder=str(count), size=(8, 8)), SequenceOptions("stss"))
+        found.append(len(calls))
+    assert found[0] == found[1]
+
+
 def test_no_frame_is_read_twice(write_frames, monkeypatch):
     """But the first, whose camera is judged without its colour; with no room in memory each look reads its frames anew."""
     loads, load = [], Sequence._load
