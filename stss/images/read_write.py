@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import OpenImageIO as oiio  # noqa: N813
@@ -76,29 +77,40 @@ def _read_planes(
         if name not in places:
             raise InputError(f"{path}: no channel {name}; it has {listing(header.channels)}{suggest(name, header.channels)}")
     for run in _runs({(*places[name], _READ_AS.get(header.formats[name], "float")) for name, _ in planes}):
-        part, first, stop, _ = run
-        to = [
-            (name, places[name][1] - first, plane)
-            for name, plane in planes
-            if places[name] in {(part, i) for i in range(first, stop)}
-        ]
-        like = next(name for name, place in places.items() if place[0] == part)
+        to = [(name, places[name][1] - run.first, plane) for name, plane in planes if run.has(places[name])]
+        like = next(name for name in header.channels if places[name][0] == run.part)
         # A PNG has to be read in order, and OpenImageIO reads tiles whole.
-        by_lines = path.suffix.lower() == ".exr" and not image.spec(part, 0).tile_width
+        by_lines = path.suffix.lower() == ".exr" and not image.spec(run.part, 0).tile_width
         lines = _LINES.get(header.compression[like].split(":")[0], _USUAL_LINES) if by_lines else header.windows[like].height
-        _read_run(image, path, run, header.windows[like], lines, to, window)
+        _read_run(image, path, run, lines, header.windows[like], to, window)
+
+
+class _Run(NamedTuple):
+    """Neighbouring channels of a part, from ``first`` up to ``stop``, that are read at once, as one kind of number."""
+
+    part: int
+    first: int
+    stop: int
+    kind: str
+
+    def has(self, place: tuple[int, int]) -> bool:
+        """Whether a channel, by its part and its index there, is read with them."""
+        return place[0] == self.part and self.first <= place[1] < self.stop
 
 
 def _read_run(
     image: oiio.ImageInput,
     path: Path,
-    run: tuple[int, int, int, str],
-    data: PixelWindow,
+    run: _Run,
     lines: int,
+    data: PixelWindow,
     to: Sequence[tuple[str, int, Plane]],
     window: PixelWindow,
 ) -> None:
-    """Read a run of channels, ``lines`` at a time, into planes: each has its name and its place in the run."""
+    """Read a run of channels of the data window ``data``, ``lines`` at a time.
+
+    ``to``: channels of it, each with its place in the run and the plane of ``window`` to fill.
+    """
     part, first, stop, kind = run
 
     def read(rows: slice) -> None:
@@ -268,12 +280,12 @@ def encode_mask(path: Path, mask: Mask) -> bytes:
     return encode_png(path, np.where(mask, 255, 0).astype(np.uint8)[..., None], {})
 
 
-def _runs(channels: set[tuple[int, int, str]]) -> list[tuple[int, int, int, str]]:
-    """Join channels (part, index, kind of number) into runs (part, first, stop, kind) that are read at once."""
-    runs: list[tuple[int, int, int, str]] = []
+def _runs(channels: set[tuple[int, int, str]]) -> list[_Run]:
+    """Join channels (part, index, kind of number) into runs."""
+    runs: list[_Run] = []
     for part, index, kind in sorted(channels, key=lambda x: (x[0], x[2], x[1])):
-        if runs and runs[-1][0] == part and runs[-1][3] == kind and index - runs[-1][2] <= _GAP:
-            runs[-1] = part, runs[-1][1], index + 1, kind
+        if runs and runs[-1].part == part and runs[-1].kind == kind and index - runs[-1].stop <= _GAP:
+            runs[-1] = runs[-1]._replace(stop=index + 1)
         else:
-            runs.append((part, index, index + 1, kind))
+            runs.append(_Run(part, index, index + 1, kind))
     return runs
