@@ -29,6 +29,7 @@ CARRIED = (
     "framesPerSecond",
     "FramesPerSecond",
     "PixelAspectRatio",
+    "adoptedNeutral",
     "chromaticities",
     "whiteLuminance",
     "oiio:ColorSpace",

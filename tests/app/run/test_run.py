@@ -200,10 +200,9 @@ def test_alpha_highlights_layers_and_metadata_come_out(write_frames, tmp_path):
         return None
 
     lr = write_frames(range(3, 9), change=change, rendered=(3, 5, 6, 8))
+    given = {"framesPerSecond": (24000, 1001), "PixelAspectRatio": 2.0, "whiteLuminance": 80.0, "worldToNDC": ORDER}
     for path in lr.glob("*.exr"):
-        give_metadata(
-            path, {"framesPerSecond": (24000, 1001), "PixelAspectRatio": 2.0, "whiteLuminance": 80.0, "worldToNDC": ORDER}
-        )
+        give_metadata(path, given | {"adoptedNeutral": (0.25, 0.375)})
     result = call("run", lr, "-o", tmp_path / "out", *PLAIN, "--cuts", " 6", "--also", "light.R, light.G", "--metallic", "0")
     assert result.returncode == 0, result.stderr
     assert "metallic: the files have metallic.X; --metallic is not used" in result.stderr
@@ -221,6 +220,8 @@ def test_alpha_highlights_layers_and_metadata_come_out(write_frames, tmp_path):
         assert b"\0framesPerSecond\0rational\0" in header.path.read_bytes()  # as OpenEXR spells it
         assert header.attributes["framesPerSecond"] == (24000, 1001)
         assert header.attributes["whiteLuminance"] == 80
+        assert header.attributes["adoptedNeutral"] == (0.25, 0.375)
+        assert b"\0adoptedNeutral\0v2f\0" in header.path.read_bytes()
         assert header.attributes["worldToNDC"] == ORDER
         planes = read_channels(header.path, ["R", "A", "light.R", "light.G"])
         assert planes["R"].max() > 10
