@@ -133,6 +133,7 @@ class StaticGeometry:
         positions: the verdict by positions; None where no pair shows enough static geometry.
         jitter: of the camera.
         repeats: frames with the positions of the previous frame, though something moves.
+        apart: frames whose motion does not lead to the frame before, though that of the others does.
         late: the planes that are those of the previous frame.
         background: the verdict on it; None where there is none, or the scene is flat.
     """
@@ -140,6 +141,7 @@ class StaticGeometry:
     positions: StaticVerdict | None
     jitter: Jitter
     repeats: tuple[int, ...]
+    apart: tuple[int, ...]
     late: tuple[str, ...]
     background: BackgroundVerdict | None
 
@@ -172,7 +174,10 @@ class StaticGeometry:
 
     def _by_positions(self) -> list[Line]:
         lines = [] if self.positions is None else self.positions.lines()
+        apart = f"frame{'s' if len(self.apart) > 1 else ''} {', '.join(map(str, self.apart))}"
+        text = f"motion: wrong in {apart} alone, by positions: a cut there (--cuts), or a frame of another version?"
         return [
+            *([("warning", text)] if self.apart else []),
             *(line for line in lines if not line[1].startswith(self.late)),  # a late plane is off, but by less
             *([] if self.background is None or not self._has_motion else self.background.lines()),
             *(("warning", text) for text in self.jitter.lines),
@@ -186,6 +191,7 @@ def judge_static_geometry(pairs: Iterable[tuple[Buffers, Buffers]]) -> StaticGeo
     against: list[tuple[float, float]] = []
     within: list[tuple[float, float]] = []
     repeats: list[int] = []
+    errors: dict[int, float] = {}
     sky: list[BackgroundVerdict] = []
     late = LatePlanes()
     size, mirrored, relative = (0, 0), None, True
@@ -212,6 +218,7 @@ def judge_static_geometry(pairs: Iterable[tuple[Buffers, Buffers]]) -> StaticGeo
         mirrored, here = current.mirrored, np.argwhere(static)[visible, ::-1]
         motions = [motion[static].astype(np.float64)[visible] for motion in (now.motion, np.nan_to_num(now.motion[::-1]))]
         samples.append((there[visible] - here, *motions))
+        errors[now.number] = _error(there[visible] - here, motions[0])
         if (shift := common_shift(there[visible] - here - motions[0])) is not None:
             against.append(shift)
         surfaces = before.stencil, now.stencil, before.normal, now.normal, before.position, now.position
@@ -221,7 +228,11 @@ def judge_static_geometry(pairs: Iterable[tuple[Buffers, Buffers]]) -> StaticGeo
         normals = judge_normals(now, current)
         single.append((max(earlier.residual, current.residual), _depth(now, current), share, movers, *astuple(normals)))
     positions = _verdict(samples, single, size, mirrored=mirrored, relative=relative) if samples else None
-    return StaticGeometry(positions, Jitter(tuple(against), tuple(within)), tuple(repeats), late.names, common_verdict(sky))
+    limit = np.inf if positions is None or not positions.agrees else max(MOVER, 3 * positions.residual)
+    apart = tuple(number for number, error in errors.items() if error > limit)
+    return StaticGeometry(
+        positions, Jitter(tuple(against), tuple(within)), tuple(repeats), apart, late.names, common_verdict(sky)
+    )
 
 
 def _at_origin(projection: Projection, frame: Buffers) -> bool:

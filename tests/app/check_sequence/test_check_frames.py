@@ -43,6 +43,13 @@ def test_the_lines_are_those_of_files(folder, frames):
     assert any(text.startswith("motion: right to ") for _, text in lines)
 
 
+def test_a_frame_of_another_time_is_named(frames):
+    """A farm's task that rendered an older version, or a cut that nobody named: the median over all frames is right."""
+    lines = stss.check_frames([*frames[:3], replace(frames[0], number=3)])
+    text = "motion: wrong in frame 3 alone, by positions: a cut there (--cuts), or a frame of another version?"
+    assert ("warning", text) in lines
+
+
 TURN = np.float32([[1, 0, 0], [0, np.cos(0.14), np.sin(0.14)], [0, -np.sin(0.14), np.cos(0.14)]])
 """Of a camera that looks down by 8 degrees."""
 MISTAKES = {
