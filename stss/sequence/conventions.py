@@ -50,7 +50,7 @@ def convert(
         cut: whether the frame is the first of a shot.
 
     Returns:
-        The frame; its arrays may be views of ``planes``.
+        The frame; it shares no memory with ``planes``.
 
     Raises:
         InputError: a plane is missing, has another shape, or is of whole numbers; the camera is none.
@@ -72,8 +72,9 @@ def convert(
     shape = _size(number, originals)
     buffers: dict[str, Array] = {}
     for name, original in originals.items():
-        channels, plane = BUFFERS[name], original.astype(np.float32)
+        channels, plane = BUFFERS[name], original
         if name == "stencil":
+            plane = original.astype(np.float32)
             require_distinct(f"frame {number}: {name}", original, plane)
         if plane.ndim == 0 and name in CONSTANTS:
             plane = np.full(shape, plane)
@@ -179,22 +180,25 @@ def to_specification(
     *,
     display: tuple[int, int] | None = None,
     outside: Mask | None = None,
+    in_place: bool = False,
 ) -> Plane:
-    """Bring stored buffers (H, W, C) to spec section 0, in place; returns depth, infinite where nothing was hit.
+    """Bring stored buffers (H, W, C) to spec section 0, as float32; returns depth, infinite where nothing was hit.
 
+    The dictionary is changed; its arrays only if ``in_place``, which takes float32.
     ``display``: (H, W) of the frame without its overscan, the side of which a motion may be a share of; None: of the buffers.
     ``outside``: (H, W) pixels that are in no data window: nothing was hit there, and nothing moves.
     """
     height, width = size = buffers["depth"].shape[:2]
     depth = np.empty(size, np.float32)
-    done = {"nov": np.empty((*size, 1), np.float32)} | buffers
+    done = buffers if in_place else {name: np.empty(plane.shape, np.float32) for name, plane in buffers.items()}
+    done = {"nov": np.empty((*size, 1), np.float32)} | done
 
     def convert_rows(rows: slice) -> None:  # a block, so that what is computed on the way stays in the processor's cache
-        stored = {name: plane[rows] for name, plane in buffers.items()}
+        stored = {name: plane[rows].astype(np.float32, copy=False) for name, plane in buffers.items()}
         part, beyond = {**stored}, None if outside is None else outside[rows]
         depth[rows] = _convert_part(part, profile, camera, display or (height, width), beyond)
         for name, plane in part.items():
-            if plane is not stored.get(name):
+            if not in_place or plane is not stored.get(name):
                 done[name][rows] = plane
 
     for_blocks(height, max(1, BLOCK // width), convert_rows)
@@ -225,7 +229,8 @@ def _convert_part(
     if background.any():
         depth[background] = np.inf
         for buffer in ("normal", "nov", "position", "stencil", "base_color", "roughness", "metallic"):
-            np.copyto(buffers[buffer], BACKGROUND_POSITION if buffer == "position" else 0, where=background[..., None])
+            value = BACKGROUND_POSITION if buffer == "position" else 0
+            buffers[buffer] = np.where(background[..., None], np.float32(value), buffers[buffer])
     return depth
 
 

@@ -193,7 +193,7 @@ class Sequence:
         if outside is not None:
             arrays["depth"] = np.where(outside[..., None], np.float32(np.nan), arrays["depth"])
         camera = frame.camera if "nov" in arrays or frame.camera is not None else self._solve(number, arrays)
-        depth = to_specification(arrays, self.profile, camera, display=self.display.size, outside=outside)
+        depth = to_specification(arrays, self.profile, camera, display=self.display.size, outside=outside, in_place=True)
         settle_non_finite(arrays, frame.sources, self.non_finite)
         settle_all_finite(carried, others, self.non_finite, into=carried)
         for buffer in UNIT_RANGE:

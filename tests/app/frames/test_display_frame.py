@@ -14,6 +14,7 @@ from stss.frames.carried_planes import HIGHLIGHTS, highlights
 from stss.frames.display_frame import make_display_frame
 from stss.images import color as colors
 from stss.images.color import transfer
+from stss.sequence import conventions
 from stss_ground import cores
 from stss_ground.cores import for_blocks
 from stss_ground.errors import InputError
@@ -129,6 +130,27 @@ def test_planes_are_shared_only_without_copies(copy):
     made = {name: plane for name, plane in (*vars(frame).items(), *frame.carried.items()) if isinstance(plane, np.ndarray)}
     shared = {name for name, plane in made.items() if any(np.shares_memory(plane, other) for other in given)}
     assert shared == (set() if copy else {"motion", "position"})
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64, np.float16])
+def test_an_engines_planes_stay_as_they_are(monkeypatch, dtype):
+    """They may be read-only, and the frame does not change with them; where nothing was hit it differs from them."""
+    monkeypatch.setattr(conventions, "BLOCK", 5 * 24)
+    names = ("color", "motion", "normal", "depth", "position", "stencil", "base_color", "roughness", "metallic")
+    buffers = buffers_of((16, 24))
+    given = {name: np.array(getattr(buffers, name), dtype) for name in names}
+    given["depth"][3:9] = np.inf
+    before = {name: plane.copy() for name, plane in given.items()}
+    for plane in given.values():
+        read_only(plane)
+    frame = stss.convert(1, given, camera=np.zeros(3))
+    whole = stss.convert(1, {name: np.float32(plane) for name, plane in given.items()}, camera=np.zeros(3))
+    assert not frame.base_color[3:9].any()
+    for name, plane in before.items():
+        np.testing.assert_array_equal(given[name], plane)
+        assert not np.shares_memory(getattr(frame, name), given[name])
+        assert getattr(frame, name).dtype == np.float32
+        np.testing.assert_array_equal(getattr(frame, name), getattr(whole, name))
 
 
 @pytest.mark.parametrize(
