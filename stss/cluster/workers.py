@@ -19,6 +19,7 @@ from stss_ground.optional import require
 
 LOCAL = "local:"
 MAX_LOCAL = 256
+SAFE_PATH = "PYTHONSAFEPATH"
 TIMEOUT = 60.0
 """Seconds for a scheduler to answer, and for a worker to come."""
 
@@ -41,7 +42,8 @@ class LocalWorkers:
         """An executor of all workers that do not hang."""
         context = multiprocessing.get_context("spawn")  # a fork would copy the drivers' locks, but not the threads that hold them
         try:
-            return _BlockedPool(self._count, context, _begin, (self._count,))
+            with _beginning():
+                return _Pool(self._count, context, _begin, (self._count,))
         except OSError as error:  # some containers have no shared memory, in which the pool has its locks
             raise InputError(
                 f"--cluster {LOCAL}{self._count}: processes share no lock here: /dev/shm: {error.strerror}; run without --cluster"
@@ -55,21 +57,35 @@ class LocalWorkers:
         executor.shutdown(cancel_futures=True)
 
 
-class _BlockedPool(ProcessPoolExecutor):
-    """Ctrl-C reaches all processes of a terminal. Workers start with the signal blocked: the writing process ends them."""
+class _Pool(ProcessPoolExecutor):
+    """Processes that begin as `_beginning` says."""
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:  # pyrefly: ignore[bad-override]
-        if not hasattr(signal, "pthread_sigmask"):
+        with _beginning():
             return super().submit(fn, *args, **kwargs)
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-        try:
-            return super().submit(fn, *args, **kwargs)
-        finally:
+
+
+@contextmanager
+def _beginning() -> Generator[None, None, None]:
+    """Processes begin with Ctrl-C blocked, since it reaches all of a terminal, and the writing process ends them.
+
+    They take no modules from the current folder, where the user may have one of a name of Python's; Python 3.10 has no such choice.
+    """
+    blocks, own = hasattr(signal, "pthread_sigmask"), os.environ.get(SAFE_PATH)
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if blocks else None
+    os.environ[SAFE_PATH] = "1"
+    try:
+        yield
+    finally:
+        if own is None:
+            del os.environ[SAFE_PATH]
+        if before is not None:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _begin(count: int) -> None:
     """Runs first in a process that was started here."""
+    os.environ.pop(SAFE_PATH, None)
     Thread(target=_end_with, args=(multiprocessing.parent_process(),), daemon=True).start()
     if count > 1:  # PoCL would use every processor in each process, and pin their threads to the same ones
         os.environ.update(POCL_MAX_PTHREAD_COUNT=str(max(1, available_threads() // count)), POCL_AFFINITY="0")

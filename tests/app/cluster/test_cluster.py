@@ -315,6 +315,20 @@ def hang_once(work, numbers):
     return compute_chunk(work, numbers)
 
 
+@pytest.mark.skipif(sys.version_info < (3, 11), reason="Python 3.10 takes modules from the current folder")
+def test_modules_of_the_current_folder_are_the_users(write_frames, tmp_path):
+    """Python's own start-up imports types; the pool's processes took it from the folder in which the command was given."""
+    program = Path(sys.executable).with_name("stss")
+    if not program.exists():
+        pytest.skip("stss is not installed as a command")
+    lr = write_frames(range(2), size=SIZE)
+    (tmp_path / "types.py").write_text("raise SystemExit('the user's')")
+    words = [program, "run", lr, "-o", "out", *PLAIN, "--cluster", "local:1"]
+    process = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert process.returncode == 0, process.stderr
+    assert "the user's" not in process.stderr
+
+
 def test_a_machine_without_shared_memory_is_told(monkeypatch):
     """As a function's container, whose /dev/shm is missing or cannot be written to."""
 
