@@ -267,7 +267,7 @@ class Judge:
             if len(self._weights) == MOST_WEIGHTS:
                 self._weights.clear()
             converted = restrict(weights.convert(self.arithmetic.normal), self.weights_version)
-            self._weights[id(weights)] = weights, shuffle(converted)
+            self._weights[id(weights)] = weights, shuffle(converted, self.weights_version)
         return self._weights[id(weights)][1]
 
     def round_inputs(self, arrays: Arrays, stage: str = "") -> dict[str, NDArray[Any]]:

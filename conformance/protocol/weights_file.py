@@ -8,13 +8,12 @@ so nearly equal weights share theirs.
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from typing import Any
 from zlib import crc32
 
 import numpy as np
 
-from conformance.protocol.weights_format import format_metadata
+from conformance.protocol.weights_format import VERSIONS, FileWeights, format_metadata, versions_of
 from stss_ref.weights import Weights, check
 
 FURTHER = {"trained": '[{"crop": "{\\"side\\": 64}"}, "weights", "paper, detail, reshade"]'}
@@ -24,6 +23,8 @@ ALIGNED = 8
 DRAWN_FROM = "latentEncoder.2.weight"
 """The tensor that decides the layout of a file: weights that differ in another tensor have the same header, as files of one trainer do, and
 those that differ in their metadata the same numbers behind it."""
+VERSION_FROM = "KEncoder.4.weight"
+"""The tensor that decides, with the choices, the version of a file: another one in each kind of drawn weights."""
 MORE = 0, 0, 1, 700
 """Choices for the number of surplus spaces at the header's end, in units of the alignment."""
 
@@ -53,13 +54,16 @@ def serialise(weights: Weights) -> bytes:
     return len(header).to_bytes(8, "little") + header + b"".join(tensors[name] for name in names)
 
 
-def shuffle(weights: Weights) -> Weights:
-    """The same weights with the names in another order, for a port that gets them by name."""
-    return replace(weights, tensors=_in_any_order(_generator(weights), dict(weights)))
+def shuffle(weights: Weights, latest: int = min(VERSIONS)) -> Weights:
+    """The same weights with the names in another order, for a port that gets them by name, and a file of any version up to ``latest``."""
+    choices = weights.second_color, weights.hole_test, weights.hole_fill
+    first, *others = versions_of(weights)
+    version = _generator(weights, VERSION_FROM, *choices).choice([first, *(each for each in others if each <= latest)])
+    return FileWeights(_in_any_order(_generator(weights), dict(weights)), *choices, int(version))
 
 
-def _generator(weights: Weights) -> np.random.Generator:
-    return np.random.default_rng(crc32(np.ascontiguousarray(weights[DRAWN_FROM]).data))
+def _generator(weights: Weights, name: str = DRAWN_FROM, *words: str) -> np.random.Generator:
+    return np.random.default_rng(crc32(" ".join(words).encode(), crc32(np.ascontiguousarray(weights[name]).data)))
 
 
 def _in_any_order(rng: np.random.Generator, entries: dict[str, Any]) -> dict[str, Any]:

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 from stss_ref.constants import HOLE_FILLS, HOLE_TESTS
@@ -25,9 +25,21 @@ ONE_OF_VERSIONS = " or ".join(", ".join(map(str, VERSIONS)).rsplit(", ", 1))
 """For messages."""
 
 
+@dataclass(frozen=True, eq=False)
+class FileWeights(Weights):
+    """Weights whose file has a certain version, one of `versions_of`."""
+
+    version: int = min(VERSIONS)
+
+
+def versions_of(weights: Weights) -> list[int]:
+    """The versions of a file that have the choices of these weights, the earliest first."""
+    return [version for version in VERSIONS if restrict(weights, version) is weights]
+
+
 def format_metadata(weights: Weights) -> dict[str, str]:
-    """The entries that the metadata of a weights file must have (spec 10), of the earliest version that has its choices."""
-    version = next(version for version in VERSIONS if restrict(weights, version) is weights)
+    """The entries that the metadata of a weights file must have (spec 10), of the earliest version that has its choices, or its own."""
+    version = weights.version if isinstance(weights, FileWeights) else versions_of(weights)[0]
     return {VERSION_KEY: str(version), **{name: getattr(weights, name) for name in VERSIONS[version]}}
 
 

@@ -7,14 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from conformance.cases.stage_inputs import make_weights
+from conformance.cases.stage_inputs import WEIGHT_KINDS, make_weights
 from conformance.judging.judge import Judge, Tier
 from conformance.protocol.job_folder import read_weights
 from conformance.protocol.port import Case
 from conformance.protocol.weights_file import serialise, shuffle
+from conformance.protocol.weights_format import CHOICES, VERSION_KEY, VERSIONS, format_metadata, versions_of
 from conformance.reference_port import ReferencePort
 from conformance.suite.run_suite import run_suite
 from stss_ref.weights import TENSORS, Weights
+from tests.tiers import thorough
 
 SETS = [make_weights("random", seed) for seed in range(16)]
 
@@ -52,6 +54,33 @@ def test_a_text_of_the_metadata_has_the_words_of_settings():
     """A port that looks for them anywhere in the header finds settings that the weights do not have."""
     texts = [header(serialise(weights))[0] for weights in SETS]
     assert any(all(word in text for word in (b"paper", b"detail", b"reshade")) for text in texts)
+
+
+def test_a_file_has_any_version_that_has_its_choices():
+    kinds = [make_weights(kind, 0) for kind in WEIGHT_KINDS]
+    for choices in ({}, {"hole_test": "paper"}, {"second_color": "detail"}, {"hole_fill": "reshade"}):
+        sets = [replace(weights, **choices) for weights in kinds]
+        assert {shuffle(weights, max(VERSIONS)).version for weights in sets} == {*versions_of(sets[0])}
+        assert {shuffle(weights).version for weights in sets} == {versions_of(sets[0])[0]}
+
+
+class ByVersion(ReferencePort):
+    """Takes the version for the choices that it made possible."""
+
+    def __init__(self, **choices):
+        self.choices = choices
+
+    def run(self, stage, inputs, weights=None):
+        version = int(format_metadata(weights)[VERSION_KEY])
+        taken = {name: CHOICES[name][version == first] for name, first in self.choices.items()}
+        return super().run(stage, inputs, replace(weights, **taken))
+
+
+@pytest.mark.parametrize("choice", [{"hole_fill": 5}, thorough({"second_color": 4}), thorough({"hole_test": 3})], ids=str)
+def test_a_port_that_goes_by_the_version_is_found(choice):
+    judge = Judge(ByVersion(**choice), Tier("some", 1, 24, 0), shrink=False)
+    (result,) = run_suite(judge, ["frame"], only="rendered_scenes")
+    assert result.outcome == "failed"
 
 
 class InOrder(ReferencePort):
