@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Right answers in a few windows of a large frame, which as a whole would take minutes in float64.
 
-Windows lie around a corner that tiles of 64, 128, 256 and 512 have in common, and at both ends and the middle of the last rows.
+Windows lie around corners that tiles of 64, 128, 256 and 512 have in common, around those of halves and of thirds, and in the last corner.
 """
 
 from __future__ import annotations
@@ -47,11 +47,11 @@ class Window:
 
 
 def places(height: int, width: int) -> list[tuple[slice, slice]]:
-    """The windows of a frame: the first and the last corner of tiles in it, and the left, the middle and the right of the last rows."""
+    """The windows of a frame: the first and the last corner of tiles in it, the first of halves and of thirds, and the last rows' end."""
     half = SIDE // 2
     corners = [(y - half, x - half) for y in range(TILE, height - half + 1, TILE) for x in range(TILE, width - half + 1, TILE)]
-    middle = (width - SIDE) // 2 // 8 * 8
-    begins = [*corners[:1], *corners[1:][-1:], *((height - SIDE, left) for left in (0, middle, width - SIDE))]
+    parts = [((height // n - half) // 8 * 8, (width // n - half) // 8 * 8) for n in (2, 3)]
+    begins = [*corners[:1], *corners[1:][-1:], *parts, (height - SIDE, width - SIDE)]
     return [(slice(top, top + SIDE), slice(left, left + SIDE)) for top, left in begins]
 
 

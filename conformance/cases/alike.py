@@ -67,7 +67,7 @@ def _calls(stage: str, rng: Generator) -> list[Call]:
     calls: list[Call] = [("the first", inputs, weights)]
     for name, array in inputs.items():
         calls += [(f"{name}: {what}", {**inputs, name: other}, weights) for what, other in _others(stage, name, array)]
-    calls.append(("the upper and the lower half of every image exchanged", _halves(stage, inputs), weights))
+    calls.append(("the upper and the lower half of every image exchanged", exchange_halves(stage, inputs), weights))
     if weights is not None:
         calls += [(f"weights: {what}", inputs, other) for what, other in _other_weights(stage, weights)]
     return calls
@@ -95,7 +95,7 @@ def _less(value: NDArray[Any]) -> NDArray[Any]:
     return 1.5 - value
 
 
-def _halves(stage: str, inputs: Inputs) -> Inputs:
+def exchange_halves(stage: str, inputs: Inputs) -> Inputs:
     """The upper half of every image below the lower one."""
     images = {name: array for name, array in inputs.items() if name not in FLAGS}
     axes = {name: _rows(stage, name)[0] for name in images}

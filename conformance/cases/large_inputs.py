@@ -19,22 +19,26 @@ from conformance.cases.stage_inputs import Inputs, make_weights
 from stss_ref.constants import HOLE_FILLS, HoleFill
 from stss_ref.weights import SECOND_COLORS, SecondColor, Weights
 
-IMAGE_SIZES: tuple[Size, ...] = ((2, 4500), (4500, 3), (540, 960), (129, 66), (65, 129), (65_601, 1), (1, 65_601), (1080, 1920))
-"""(H, W) for the image stages. The third is a usual frame; then more columns or rows than 16 bits count."""
-NETWORK_SIZES: tuple[Size, ...] = ((8, 2080), (2080, 8), (136, 144), (8, 528), (264, 8), (528, 64), (264, 272))
-"""(H, W) for stages of the network: at 1/8 they have up to 260 rows or columns. The third has more than two tiles of 64 both ways, the
-last more than 65,536 pixels."""
-HISTORY_SIZES: tuple[Size, ...] = ((8, 2080), (2080, 8), (264, 272), (8, 528), (264, 8), (528, 64))
+IMAGE_SIZES: tuple[Size, ...] = ((2, 4500), (4500, 2), (540, 960), (65, 129), (129, 66), (65_601, 1), (1, 65_601), (1080, 1920))
+"""(H, W) for the image stages. The first two have as many pixels, the third is a usual frame; then more columns or rows than 16 bits
+count."""
+_OVER = 1, 7, 9, 15, 17, 23, 25, 31
+ODD_SIZES: tuple[Size, ...] = tuple((32 + h, 32 + w) for h, w in zip(_OVER, (*_OVER[3:], *_OVER[:3]), strict=True))
+"""(H, W) for the image stages, small: tiles of 8, 16 and 32 leave little over, nearly all, or half and a little more or less, both ways."""
+NETWORK_SIZES: tuple[Size, ...] = ((8, 2072), (2072, 8), (136, 184), (8, 528), (264, 8), (528, 64), (264, 272))
+"""(H, W) for stages of the network: at 1/8 they have up to 259 rows or columns. The third has more than two tiles of 64 both ways, the
+last more than 65,536 pixels. With `AGAIN`, tiles of 32 leave 8, 16 and 24 over."""
+HISTORY_SIZES: tuple[Size, ...] = ((8, 2072), (2072, 8), (264, 272), (8, 528), (264, 8), (528, 64))
 """(H, W) for stage history, whose work begins at half the size."""
 PLACES_SIZES: tuple[Size, ...] = ((8, 8_400), (8_400, 8), (1056, 1056), (72, 136), (528, 64))
 """(H, W) for stage erm, all of whose work is at 1/8 size: there it has up to 1,050 rows or columns, and more than two tiles of 64 both
 ways."""
-ANY_SIZES: tuple[Size, ...] = ((7, 1_040), (1_040, 5), (67, 131), (515, 13), (257, 259))
+ANY_SIZES: tuple[Size, ...] = ((5, 1_043), (1_043, 5), (67, 131), (515, 13), (257, 259))
 """(H, W) for stages network and frame, which pad them."""
 USER_SIZES: dict[str, Size] = {"quick": (720, 1280), "full": (1080, 1920)}
 """(H, W) of users' frames. At 720 x 1280 a feature of 24 channels has more numbers than float32 counts, and beside another more bytes
 than 128 MiB. At 1080 x 1920 there are more pixels than 20 bits count, and more than 65,535 groups of 64 numbers."""
-AGAIN: Size = (72, 136)
+AGAIN: Size = (80, 104)
 """(H, W) of two frames one after the other: all of the second one's numbers are others, and tiles of 64 end in it both ways."""
 TWICE = ("decoder", "network", "frame", "accumulate")
 """Stages with arrays of twice the rows and columns."""
@@ -188,7 +192,8 @@ def large_inputs(stage: str, most: int | None = None, size: Size | None = None, 
     extra = [_fitting_size(stage, size)] if size is not None else []
     again = [AGAIN, AGAIN] if most is None or most >= FEW else []
     usual = _sizes(stage)[:most]
-    own = [*usual, *again, *(each for each in extra if side is None or scale * max(each) <= side)]
+    odd = ODD_SIZES if again and stage in _IMAGE else ()
+    own = [*usual, *again, *odd, *(each for each in extra if side is None or scale * max(each) <= side)]
     largest = max(map(max, own), default=0) if side is None else side // scale // 8 * 8
     cases = [_case(stage, i, (min(height, largest), min(width, largest))) for i, (height, width) in enumerate(own)]
     if again:
@@ -228,8 +233,8 @@ def user_sizes(stage: str, most: int, side: int | None = None) -> tuple[Size, ..
 
 
 def _sizes(stage: str) -> tuple[Size, ...]:
-    if stage == "accumulate":
-        return IMAGE_SIZES[:-1]
+    if stage == "accumulate":  # its images are twice as large
+        return tuple((270, 480) if size == (540, 960) else size for size in IMAGE_SIZES[:-1])
     if stage in _IMAGE:  # all of rrm's largest frame is judged, and at once
         return IMAGE_SIZES if stage != "rrm" else (IMAGE_SIZES[-1], *IMAGE_SIZES[:-1])
     if stage in ("history", "erm"):

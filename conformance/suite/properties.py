@@ -13,7 +13,7 @@ import numpy as np
 from hypothesis import strategies as st
 from hypothesis.errors import Flaky
 
-from conformance.cases.alike import Call, alike_calls
+from conformance.cases.alike import Call, alike_calls, exchange_halves
 from conformance.cases.constants import constant_cases, pinned_by
 from conformance.cases.engine_inputs import engine_inputs
 from conformance.cases.exact_weights import LAST, exact_inputs, rounded_sums
@@ -101,9 +101,10 @@ def same_twice(stage: str, decorate: Callable[[Body], Test]) -> Test:
     """Make a stage's test that no answer depends on earlier cases."""
 
     def body(judge: Judge, case: Any) -> Talk:
-        """The same inputs give the same bits again, whatever was computed between."""
+        """The same inputs give the same bits again, after others of their size."""
         arguments = case if STAGES[stage].weights else (case,)
-        first, second = yield ask(stage, *arguments), ask(stage, *arguments, again=True)
+        between = ask(stage, exchange_halves(stage, arguments[0]), *arguments[1:])
+        first, _, second = yield ask(stage, *arguments), between, ask(stage, *arguments, again=True)
         for name in first:
             judge.same(f"{stage}.{name}", np.nan_to_num(second[name]), np.nan_to_num(first[name]))
 

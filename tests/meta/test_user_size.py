@@ -7,8 +7,8 @@ import pytest
 from click.testing import CliRunner
 
 from conformance.answers.expected import largest
-from conformance.answers.windows import expect_windows
-from conformance.cases.large_inputs import IMAGE_SIZES, large_inputs, user_inputs
+from conformance.answers.windows import expect_windows, places
+from conformance.cases.large_inputs import IMAGE_SIZES, USER_SIZES, large_inputs, user_inputs
 from conformance.command import conform
 from conformance.judging.judge import Judge, Tier
 from conformance.protocol.port import Arrays, Outputs
@@ -84,7 +84,8 @@ def test_windows_are_those_of_the_whole(stage: str, monkeypatch: pytest.MonkeyPa
     whole = reference(stage, exact, weights)
     first, *rest = windows = [*expect_windows(stage, exact, weights, judge.arithmetic, whole)]
     assert (first.rows.start, first.columns.start) == (56, 56)
-    assert {each.rows.stop for each in rest[1:]} == {check_inputs(stage, exact)["H"]}
+    sizes = check_inputs(stage, exact)
+    assert (rest[-1].rows.stop, rest[-1].columns.stop) == (sizes["H"], sizes["W"])
     assert len(windows) == 5
     for window in windows:
         for name, (place, right) in window.outputs.items():
@@ -93,6 +94,13 @@ def test_windows_are_those_of_the_whole(stage: str, monkeypatch: pytest.MonkeyPa
                 np.testing.assert_array_equal(right.want, whole[name][place])
             else:
                 assert ratio("network.float64", right.want, whole[name][place]) < 1
+
+
+@pytest.mark.parametrize("size", USER_SIZES.values(), ids=str)
+def test_seams_of_equal_parts_lie_in_windows(size: tuple[int, int]):
+    for n in (2, 3):
+        at = [side // n for side in size]
+        assert any(all(s.start < p < s.stop for s, p in zip(window, at, strict=True)) for window in places(*size))
 
 
 class TileCorners(ReferencePort):
@@ -135,6 +143,6 @@ def test_an_index_in_float32_is_found_at_a_users_size(monkeypatch: pytest.Monkey
 
     (result,) = run_suite(Judge(IndexedPort(), Tier("some", 1, 1, 4)), ["network"], only="users_size")
     assert result.outcome == "failed"
-    assert "in the window at row 128, column 0 of the inputs" in result.message
+    assert "in the window at row 128, column 268 of the inputs" in result.message
     (result,) = run_suite(Judge(ReferencePort(), Tier("some", 1, 1, 4)), ["frame"], only="users_size")
     assert (result.outcome, result.record.largest) == ("passed", (160, 300))
