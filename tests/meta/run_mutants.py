@@ -1,13 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""``make mutants``: the tests of the quick tier that find each planted fault; the table of docs/conformance.md, by generator.
+"""``make mutants``: what in the quick tier finds each planted fault first, and whether anything else does; writes docs/conformance.md.
 
-``python -m tests.meta.run_mutants warp rrm`` tries those of two stages; with ``--found FILE`` it goes on where the last run with this
-file stopped, and writes the table when all stages are in it. ``--first`` leaves each fault at the first test that finds it, and takes
-minutes.
+``python -m tests.meta.run_mutants warp rrm`` tries those of two stages, and writes no table.
 """
 
 import argparse
-import json
 import os
 import sys
 from collections import Counter
@@ -57,20 +54,25 @@ def generator(test):
     return next((word for word, names in GENERATORS.items() if name in names), PROPERTIES)
 
 
-def failed(name, seed=0, *, every=False):
-    """The results of its stage's quick tier that a mutant fails, unshrunken: the first one only, or every one."""
+def failed(name, seed=0, but=None):
+    """The first result of its stage's quick tier that a mutant fails, unshrunken, of any generator but one; at most one."""
     mutant = find(name)
     judge = Judge(mutant.port(), TIERS["quick"], seed, shrink=False)
+    others = [test for word, names in GENERATORS.items() if word != but for test in names]
     # Nothing before the large frames can find what no small frame shows. In Python, 720 x 1280 takes half a minute.
-    only = "large_frames" if mutant.large else "" if not every else "not users_size"
-    results = run_suite(judge, [mutant.stage], first_only=not every, only=only)
+    only = "large_frames" if mutant.large else "not users_size"
+    if but is not None:
+        only += f" and ({' or '.join(others)})" if but == PROPERTIES else f" and not ({' or '.join(GENERATORS[but])})"
+    results = run_suite(judge, [mutant.stage], first_only=True, only=only)
     return [result for result in results if result.outcome == "failed"]  # an error is the judge's own, and finds nothing
 
 
-def killers(name, seed=0, every=True):
-    """The tests that find a mutant out, and the seconds that took."""
+def killers(name, seed=0):
+    """The first test that finds a mutant out, the first one of another generator, and the seconds that took."""
     start = perf_counter()
-    return [result.id for result in failed(name, seed, every=every)], perf_counter() - start
+    first = failed(name, seed)
+    others = failed(name, seed, generator(first[0].id)) if first and not find(name).large else []
+    return [result.id for result in (*first, *others)], perf_counter() - start
 
 
 def seconds_by_generator():
@@ -89,12 +91,12 @@ def seconds_by_generator():
 
 
 def table(tests_of, seconds_of):
-    """Markdown: a row for each generator. ``found``: the tests by mutant."""
-    by = {name: {generator(test) for test in tests} for name, tests in tests_of.items()}
-    rows = ["| cases | find | find alone | alone, for example | seconds |", "|---|---|---|---|---|"]
+    """Markdown: a row for each generator. ``tests_of``: what `killers` gives, by mutant."""
+    by = {name: [generator(test) for test in tests] for name, tests in tests_of.items()}
+    rows = ["| cases | find first | find alone | alone, for example | seconds |", "|---|---|---|---|---|"]
     for word in ORDER:
-        finds = [name for name, words in by.items() if word in words]
-        alone = [name for name in finds if by[name] == {word}]
+        finds = [name for name, words in by.items() if words[0] == word]
+        alone = [name for name in finds if len(by[name]) == 1]
         seconds = f"{seconds_of[word]:.1f}" if seconds_of[word] else ""
         rows.append(f"| {word} | {len(finds)} | {len(alone)} | {f'`{alone[0]}`' if alone else ''} | {seconds} |")
     return "\n".join(rows)
@@ -105,28 +107,18 @@ def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("stages", nargs="*", help="stages whose mistakes are tried; none: all")
     parser.add_argument("--seed", type=int, default=0, help="other cases than a user's default ones")
-    parser.add_argument("--found", type=Path, help="JSON file of what was found so far")
-    parser.add_argument("--first", action="store_true", help="only whether each is found: no table")
     options = parser.parse_args()
-    if options.first and options.found is not None:
-        parser.error("--first: not with --found, which the table needs whole")
-    tests_of = json.loads(options.found.read_text()) if options.found is not None and options.found.exists() else {}
-    mutants = [mutant.id for mutant in MISTAKES if not options.stages or mutant.stage in options.stages]
-    names = [name for name in mutants if name not in tests_of]
-    start = perf_counter()
+    names = [mutant.id for mutant in MISTAKES if not options.stages or mutant.stage in options.stages]
+    tests_of, start = {}, perf_counter()
     with ProcessPoolExecutor() as pool:
-        for name, (by, seconds) in zip(
-            names, pool.map(killers, names, repeat(options.seed), repeat(not options.first)), strict=True
-        ):
+        for name, (by, seconds) in zip(names, pool.map(killers, names, repeat(options.seed)), strict=True):
             tests_of[name] = by
             print(f"{name:42s} {seconds:5.1f} s  {', '.join(by) or 'SURVIVES'}", flush=True)
-            if options.found is not None:
-                options.found.write_text(json.dumps(tests_of, indent=0))
-    survivors = [name for name in mutants if not tests_of[name]]
-    print(f"{len(mutants) - len(survivors)} of {len(mutants)} found out, {perf_counter() - start:.0f} s")
-    if not options.seed and not options.first and not survivors and len(tests_of) == len(MISTAKES):
+    survivors = [name for name in names if not tests_of[name]]
+    print(f"{len(names) - len(survivors)} of {len(names)} found out, {perf_counter() - start:.0f} s")
+    if not options.seed and not survivors and len(names) == len(MISTAKES):
         write_between(PAGE, MARK, table(tests_of, seconds_by_generator()))
-    sys.exit(1 if survivors or not mutants else 0)
+    sys.exit(1 if survivors or not names else 0)
 
 
 if __name__ == "__main__":
