@@ -217,7 +217,7 @@ def test_a_frame_whose_header_is_bad_is_left_out_like_any_other(fault, changeabl
         ("run {frames} -o {plain}", ["--resume", "--overwrite"]),
         ("run {frames} -o out --resume --overwrite", ["--resume", "--overwrite"]),
         ("run {frames} -o out --profile renderman", ["renderman", "blender"]),
-        ("run {frames} -o out --profile blender", ["profile blender finds nov", "profile stss finds 10"]),
+        ("run {frames} -o out --profile blender", ["profile blender finds normal", "profile stss finds 10"]),
         ("run {frames} -o out --also normla", ["did you mean normal"]),
         ("conform --port stss.port:ReferencePort --stages wrap", ["--stages", "did you mean warp?"]),
         ("run {frames} -o out --frames 5:20", ["5:20", "0:9"]),
