@@ -260,7 +260,7 @@ class SuitePlugin:
 
 def _is_judged(result: TestResult) -> bool:
     """Whether it says anything of the port: it failed, or something was held against a bound and found right."""
-    return result.id != REQUIRED and (result.outcome in ("failed", "error", "known") or bool(result.record.worst))
+    return result.id not in (REQUIRED, JUDGED) and (result.outcome in ("failed", "error", "known") or bool(result.record.worst))
 
 
 def _stage(item: Any) -> str:

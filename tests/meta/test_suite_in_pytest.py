@@ -86,4 +86,5 @@ def test_side_by_side_a_run_passes_if_anything_was_judged(here):
     good = run(here, FOLDER, "--port", "my_port:Port", "-k", "rrm and not large", "-n", "2")
     assert good.returncode == 0, good.stdout + good.stderr
     assert "nothing was judged" not in good.stdout
-    assert run(here, FOLDER, "--port", "my_port:Port", "-k", "one_colour", "-n", "2").returncode == 1
+    for tests in ("one_colour", "channels_do_not_mix"):  # several, and a single one, which all its worker's tests are
+        assert run(here, FOLDER, "--port", "my_port:Port", "-k", tests, "-n", "2").returncode == 1
