@@ -37,10 +37,14 @@ MINE, MOUNT = Path("/proc/self/cgroup"), Path("/sys/fs/cgroup")
 """Where Linux says which control groups a process is in, and where these are, as containers and farms set them."""
 
 
+processes = 1
+"""Processes of a run that work side by side on this machine; a worker of several sets it."""
+
+
 def available_threads() -> int:
-    """Cores that this process may run on, or the time of so many that its container may take, rounded up."""
+    """Cores that this process may run on, or the time of so many that its container may take, rounded up; of several, its share."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return min(cores, container_cores() or cores)
+    return max(1, min(cores, container_cores() or cores) // processes)
 
 
 def container_cores(mine: Path = MINE, mount: Path = MOUNT) -> int | None:

@@ -13,8 +13,8 @@ from contextlib import contextmanager
 from threading import Thread
 from typing import Any
 
+from stss_ground import machine
 from stss_ground.errors import InputError
-from stss_ground.machine import available_threads
 from stss_ground.optional import require
 
 LOCAL = "local:"
@@ -87,8 +87,9 @@ def _begin(count: int) -> None:
     """Runs first in a process that was started here."""
     os.environ.pop(SAFE_PATH, None)
     Thread(target=_end_with, args=(multiprocessing.parent_process(),), daemon=True).start()
+    machine.processes = count
     if count > 1:  # PoCL would use every processor in each process, and pin their threads to the same ones
-        os.environ.update(POCL_MAX_PTHREAD_COUNT=str(max(1, available_threads() // count)), POCL_AFFINITY="0")
+        os.environ.update(POCL_MAX_PTHREAD_COUNT=str(machine.available_threads()), POCL_AFFINITY="0")
 
 
 def _end_with(parent: Any) -> None:

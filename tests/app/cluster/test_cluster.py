@@ -27,6 +27,7 @@ from stss.run.options import RunOptions
 from stss.sequence.reader import Sequence, open_sequence
 from stss.weights.file import BILINEAR, load
 from stss_ground.errors import InputError
+from stss_ground.machine import available_threads
 from stss_ground.version import VERSION
 from tests.app.conftest import PLAIN, files, frames_of
 from tests.tiers import thorough
@@ -260,6 +261,15 @@ def test_processes_here_have_no_socket_and_may_die(frames, tmp_path):
     assert not counts
     assert not multiprocessing.active_children()
     assert_as_in_one_process(frames, tmp_path / "many")
+
+
+def test_processes_share_the_cores():
+    """Else each would decode and convert on as many threads as the machine has cores."""
+    count = available_threads()
+    workers = LocalWorkers(count)
+    executor = workers.start()
+    assert executor.submit(available_threads).result() == 1
+    workers.end(executor, hangs=False)
 
 
 @pytest.mark.skipif(os.name == "nt", reason="no signals")
