@@ -57,8 +57,11 @@ def test_memory_goes_with_the_context(device):
     gone = weakref.ref(block)
     recycler_of(device.context).give_back(block)
     del block
-    assert recycler_of(device.context).take(64) is gone()
-    recycler_of(device.context).give_back(gone())
+    block = recycler_of(device.context).take(64)
+    assert block is gone()
+    recycler_of(device.context).give_back(block)
+    del block
+    assert gone() is not None
     del device
     gc.collect()
     assert gone() is None

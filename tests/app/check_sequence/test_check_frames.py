@@ -8,6 +8,7 @@ import pytest
 
 import stss
 from conformance.scenes import SCENES, render
+from stss.check_sequence.motion_convention import judge_motion
 from stss.check_sequence.report import check
 from stss.demo import demo_path, frame_channels
 from stss.images.read_write import write_channels
@@ -172,3 +173,14 @@ def test_frames_that_tell_nothing_are_refused(frames):
             stss.check_frames(row)
     with pytest.raises(InputError, match="frame 1: depth: expected an array"):
         stss.check_frames([frames[0], replace(frames[1], depth=None)])
+
+
+def test_a_motion_is_judged_where_each_choice_leads_into_the_frame():
+    """Where one leads off it, the border's colour would speak against the choice."""
+    height, width, far = 32, 40, 6
+    random = np.random.default_rng(0)
+    three, one = (random.random((height, width, *n), np.float32) for n in ((3,), ()))
+    motion = np.broadcast_to(np.float32((far, 0)), (height, width, 2))
+    frame = stss.Buffers(1, None, motion, three, one + 1, three, one, one, three, one, one)
+    before = replace(frame, number=0, base_color=random.random(three.shape, np.float32))
+    assert judge_motion([(before, frame)]).pixels == (height - 2 * far) * (width - 2 * far)

@@ -10,11 +10,13 @@ import pytest
 
 import stss
 from stss.frames import display_frame
+from stss.frames import static_holes as module_of_holes
 from stss.frames.carried_planes import HIGHLIGHTS, highlights
 from stss.frames.display_frame import make_display_frame
 from stss.images import color as colors
 from stss.images.color import transfer
 from stss.sequence import conventions
+from stss.sequence.camera import CameraPose
 from stss_ground import cores
 from stss_ground.cores import for_blocks
 from stss_ground.errors import InputError
@@ -130,6 +132,34 @@ def test_planes_are_shared_only_without_copies(copy):
     made = {name: plane for name, plane in (*vars(frame).items(), *frame.carried.items()) if isinstance(plane, np.ndarray)}
     shared = {name for name, plane in made.items() if any(np.shares_memory(plane, other) for other in given)}
     assert shared == (set() if copy else {"motion", "position"})
+
+
+@pytest.mark.parametrize("in_place", [True, False])
+def test_blocks_of_a_conversion_do_not_show(monkeypatch, in_place):
+    """With pixels that are in no data window, motion as a share of the frame, and NoV from a camera."""
+    buffers, random = buffers_of((16, 24)), np.random.default_rng(1)
+    outside, camera = random.random((16, 24)) < 0.3, CameraPose(np.zeros(3))
+    profile = stss.load_profile("stss", motion={"unit": "uv"})
+    done = []
+    for block in (1 << 15, 3 * 24):
+        monkeypatch.setattr(conventions, "BLOCK", block)
+        names = ("motion", "normal", "depth", "position", "stencil", "base_color", "roughness", "metallic")
+        planes = {name: np.array(getattr(buffers, name)).reshape(16, 24, -1) for name in names}
+        depth = conventions.to_specification(planes, profile, camera, outside=outside, in_place=in_place)
+        done.append({**planes, "depth": depth})
+    assert (done[0]["depth"][outside] == np.inf).all()
+    for name, plane in done[0].items():
+        np.testing.assert_array_equal(plane, done[1][name])
+
+
+@pytest.mark.usefixtures("small_blocks")
+def test_static_holes_are_counted_in_every_block(monkeypatch):
+    monkeypatch.setattr(module_of_holes, "BLOCK", 3 * 24)
+    buffers, random = buffers_of((16, 24)), np.random.default_rng(1)
+    stencil, valid = np.float32(random.random((16, 24)) < 0.5), random.random((16, 24)) < 0.9
+    static = stencil == 0
+    assert module_of_holes.static_holes(stencil, buffers.normal, valid) == (static & ~valid).sum() / static.sum()
+    assert module_of_holes.static_holes(np.ones_like(stencil), buffers.normal, valid) is None
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64, np.float16])
