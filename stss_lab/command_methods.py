@@ -16,7 +16,6 @@ from stss.cli.options import (
     sequence_options,
     weights_option,
 )
-from stss.frames.backends import NETWORK
 from stss.frames.compute_options import ComputeOptions
 from stss.pages.viewer import page_folder
 from stss.quality.flip_vmaf import Perceptual
@@ -34,7 +33,12 @@ from stss_ground.terminal import Terminal, echo
 @click.option("-o", "--out", type=WrittenFolder(), required=True, help="Folder, with one folder for each method.")
 @sequence_options
 @weights_option
-@click.option("--methods", type=Names(), default=(), help="The methods to run, such as bilinear,taau,network  [default: all]")
+@click.option(
+    "--methods",
+    type=Names(),
+    default=(),
+    help="The methods to run, such as taau,network,without-erm  [default: all but without-*]",
+)
 @click.option(
     "--with",
     "others",
@@ -65,12 +69,13 @@ def methods_command(
 ) -> None:
     """Run SEQUENCE with the network and with methods that have none, and compare all with TRUTH: one table, and a page with --html.
 
-    Columns are means over the frames of a kind; --json has every frame.
+    Columns are means over the frames of a kind; --json has every frame. without-history, -mask, -erm, -gbuffer and -second remove that
+    part of the network; the reference computes them.
     """
     from stss.run.job import folder_of
     from stss.run.options import RunOptions
     from stss.sequence.choose_weights import choose_weights
-    from stss_lab.baselines.registry import open_method
+    from stss_lab.baselines.registry import METHODS, open_method
     from stss_lab.methods import methods_table as method_table
     from stss_lab.methods.methods_page import methods_page
 
@@ -80,7 +85,7 @@ def methods_command(
     options = RunOptions.of(files.profile, **output)
     names = method_table.choose_methods(methods, weights)
     method_table.require_names(names, others)
-    loaded = choose_weights(weights, files, partial(echo, err=True), needed=NETWORK in names)
+    loaded = choose_weights(weights, files, partial(echo, err=True), needed=not METHODS.keys() >= {*names})
     folders = [*(folder_of(out / method) for method in names), *([] if html is None else [page_folder(html)])]
     require_places({"--html": html}, [*files.tables, *reads], folders=folders, inputs=files.images)
     console, tell = Terminal(stderr=True), partial(echo, err=True)

@@ -8,7 +8,6 @@ from stss_ground.commands import Sections
 SECTIONS: Sections = {
     "Compare": {
         "methods": ("stss_lab.command_methods:methods_command", "Compare the network with other methods."),
-        "parts": ("stss_lab.command_parts:parts_command", "Take the network's parts away, one at a time."),
     },
     "Devices": {"tune": ("stss_lab.command_tune:tune", "Find the fastest tile sizes for a device.")},
     "Ports": {"export": ("stss_lab.command_bench:export", "Write the network as ONNX.")},

@@ -24,8 +24,7 @@ MAY_IMPORT = {
 
 FLOORS = {
     "stss": "__main__ > cli > demo > quality cluster > check_sequence run > port sequence > frames > pages > devices > images weights",
-    "stss_lab": "commands > command_bench command_methods command_parts command_stress command_tune > bench methods > "
-    "stress tune baselines",
+    "stss_lab": "commands > command_bench command_methods command_stress command_tune > bench methods > stress tune baselines",
     "conformance": "command pytest_plugin > graph > report > suite > explain > judging reference_port > answers mistakes cases > "
     "protocol scenes tolerance",
     "stss_cl": "skip > frame > network image_space > device graph liveness options cost",

@@ -18,6 +18,7 @@ from stss.weights.file import LoadedWeights
 from stss_ground.errors import InputError
 from stss_lab.baselines.fxaa import fxaa
 from stss_lab.baselines.taau import Taau
+from stss_lab.baselines.without_part import CHANGES, WithoutPart
 from stss_ref.arrays import Image, Mask
 from stss_ref.constants import HoleLimits
 from stss_ref.frame import FrameInputs, NetworkInputs, prepare
@@ -103,7 +104,8 @@ def open_method(
     """Open the backend of a method.
 
     Args:
-        method: ``network``, or one of ``METHODS``, for which the other arguments do not matter.
+        method: ``network``, one of `stss_lab.baselines.without_part.CHANGES`, or one of ``METHODS``, for which the other arguments do
+            not matter.
         loaded: the network's weights.
         backend, options, tell: see ``stss.frames.backends.open_backend``.
 
@@ -113,6 +115,8 @@ def open_method(
     Raises:
         InputError: there is no such method, or the options do not fit each other.
     """
+    if method in CHANGES:
+        return WithoutPart(loaded.weights, method), loaded.label
     if method != NETWORK:
         return MethodBackend(method), NO_WEIGHTS
     return open_backend(backend, loaded, options, tell=tell), loaded.label

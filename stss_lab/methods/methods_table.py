@@ -23,6 +23,7 @@ from stss.sequence.reader import Sequence as Frames
 from stss.weights.file import BILINEAR
 from stss_ground.errors import InputError
 from stss_lab.baselines.registry import METHODS
+from stss_lab.baselines.without_part import CHANGES
 
 COLUMNS: Mapping[str, tuple[tuple[str, str, str], ...]] = {
     "PSNR\nRGB": (("SF", "all", "psnr_rgb"), ("EF", "all", "psnr_rgb")),
@@ -51,16 +52,16 @@ class MethodResult:
 
 
 def choose_methods(names: Sequence[str], weights: str) -> tuple[str, ...]:
-    """Choose the methods of these names; without names all methods, and the network unless ``weights`` is ``bilinear``.
+    """Choose the methods of these names; without names ``METHODS``, and the network unless ``weights`` is ``bilinear``.
 
     Raises:
         InputError: there is no such method, or one is named twice.
     """
-    choices = (*METHODS, NETWORK)
+    choices = (*METHODS, NETWORK, *CHANGES)
     for name in names:
         if name not in choices or names.count(name) > 1:
             raise InputError(f"methods: expected some of {', '.join(choices)}, each once; got {','.join(names)}")
-    return tuple(names) or tuple(name for name in choices if name != NETWORK or weights != BILINEAR)
+    return tuple(names) or (*METHODS, *((NETWORK,) if weights != BILINEAR else ()))
 
 
 def run_methods(
@@ -117,7 +118,7 @@ def name_of(folder: Path) -> str:
 def require_names(names: Sequence[str], others: Sequence[Path]) -> None:
     """Raise InputError if a folder of frames from elsewhere has the name of a method, or of another such folder."""
     for i, folder in enumerate(others):
-        if name_of(folder) in (*METHODS, NETWORK, *names, *(name_of(other) for other in others[:i])):
+        if name_of(folder) in (*METHODS, NETWORK, *CHANGES, *names, *(name_of(other) for other in others[:i])):
             raise InputError(f"{folder}: expected a folder with another name, since its row gets it; {name_of(folder)} is taken")
 
 

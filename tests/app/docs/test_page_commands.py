@@ -42,7 +42,7 @@ NOT_RUN = {
     r"openjd run ": "tests/app/cluster/test_farm.py runs it as it stands",
     r"stss (bench|tune|stress|gpu-report)\b": "minutes, a GPU, or PyTorch; tests of their own run each of them small",
     r"stss weights import checkpoints/": "the authors' checkpoints; tests/app/weights imports one of their kind",
-    r"stss parts ": "weights of others; tests/app/lab/test_parts.py runs it small",
+    r"stss methods .*arena": "weights of others; tests/app/lab/test_without_part.py runs it small",
     r"stss demo$": "half a minute; `make demo`, and tests/app/demo/test_demo.py small",
 }
 """The beginning of a line -> the reason not to run it here."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""`stss parts`: each part is removed, and nothing else."""
+"""The network without a part: that is removed, and nothing else."""
 
 from __future__ import annotations
 
@@ -9,12 +9,15 @@ import numpy as np
 import pytest
 
 from stss.demo import write_demo_sequence
+from stss.frames.backends import ReferenceBackend
+from stss.frames.supersampler import Supersampler
+from stss.sequence.reader import open_sequence
 from stss.weights.file import save
-from stss_lab.methods.parts import CHANGES, ERM, PARTS, WithoutPart, network
+from stss_lab.baselines.without_part import CHANGES, ERM, WithoutPart, network
 from stss_ref import weights as table
 from stss_ref.frame import NetworkInputs
 from stss_ref.network import network as whole_network
-from tests.hostile.cases import call, refused
+from tests.hostile.cases import call
 
 H, W = 20, 28
 
@@ -39,20 +42,20 @@ def test_the_whole_is_stage_network():
 def test_a_part_is_what_only_it_shows(part, field):
     """Two inputs that differ in that part alone become one; the other inputs stay."""
     first, second = draw_inputs(0), draw_inputs(1)
-    changed = CHANGES[part](first)
+    changed = CHANGES[f"without-{part}"](first)
     for name in ("color", "gbuffer", "mask", "history"):
         assert np.array_equal(getattr(changed, name), getattr(first, name)) == (name != field), name
     if part == "history":  # the newest frame stays, and so does the first colour
         second.history[-1] = first.history[-1]
     if part == "second":
         second.color[..., :3] = first.color[..., :3]
-    np.testing.assert_array_equal(getattr(CHANGES[part](second), field), getattr(changed, field))
+    np.testing.assert_array_equal(getattr(CHANGES[f"without-{part}"](second), field), getattr(changed, field))
     assert getattr(changed, field).shape == getattr(first, field).shape
 
 
 def test_an_erm_that_says_the_same_everywhere_is_its_mean():
     """Light without weights, and nothing masked: all places gather one colour."""
-    weights, inputs = table.random(2), CHANGES["mask"](draw_inputs())
+    weights, inputs = table.random(2), CHANGES["without-mask"](draw_inputs())
     flat = weights | {"latentEncoder.4.weight": np.zeros_like(weights["latentEncoder.4.weight"])}
     images = [network(inputs, flat, mean_erm=mean) for mean in (False, True)]
     np.testing.assert_allclose(*images, atol=1e-5)  # a mean of equal values rounds
@@ -61,38 +64,30 @@ def test_an_erm_that_says_the_same_everywhere_is_its_mean():
 
 
 def test_the_command(tmp_path):
-    """A row for each set of weights and one for each part; weights that read nothing lose nothing."""
+    """A row for each part; weights that read nothing lose nothing, and others lose by each part another score."""
     write_demo_sequence(tmp_path / "demo", 8, (16, 24))
     save(tmp_path / "some.safetensors", table.random(3), {})
     sequence = tmp_path / "demo" / "frames", tmp_path / "demo" / "truth"
-    words = ["parts", *sequence, "-o", tmp_path / "out", "--frames", "6:7", "--weights"]
-    printed = call(*words, f"bilinear,{tmp_path / 'some.safetensors'}")
-    assert printed.returncode == 0, printed.stderr
-    rows = [line.split() for line in printed.stdout.splitlines()]
-    assert [row[0] for row in rows if row[1:2] == ["nothing"]] == ["bilinear", "some"]
-    names = [row[0] for row in rows if row[:1] and row[0] in PARTS]
-    assert names == [*PARTS, *PARTS]
-    assert all(row[1:3] == ["+0.00", "+0.00"] for row in rows[3:8])
-    scores = json.loads(call(*words, tmp_path / "some.safetensors", "--parts", "gbuffer,erm", "--json", "--overwrite").stdout)
-    means = {name: scores["some"][name]["means"]["EF"]["all"]["psnr_rgb"] for name in ("whole", "gbuffer", "erm")}
-    assert len({*means.values()}) == 3
-    alone = call("compare", tmp_path / "out" / "some" / "gbuffer", sequence[1], "--frames", "6:7", "--json")
-    assert json.loads(alone.stdout)["means"]["EF"]["all"]["psnr_rgb"] == means["gbuffer"]
-    refused(call(*words, "bilinear", "--parts", "albedo"), "parts: expected some of history, mask, erm, gbuffer, second")
-    refused(call(*words, "bilinear,bilinear"), "weights: expected files of different names")
+    words = ["methods", *sequence, "-o", tmp_path / "out", "--frames", "6:7", "--json", "--overwrite", "--methods"]
+
+    def scores(names, *weights):
+        printed = call(*words, ",".join(names), *weights)
+        assert printed.returncode == 0, printed.stderr
+        return {name: scores["means"]["EF"]["all"]["psnr_rgb"] for name, scores in json.loads(printed.stdout).items()}
+
+    plain = scores(CHANGES, "--weights", "bilinear")
+    assert list(plain) == [*CHANGES]
+    assert len({*plain.values()}) == 1
+    assert len({*scores(["without-gbuffer", ERM], "--weights", tmp_path / "some.safetensors").values(), *plain.values()}) == 3
 
 
 def test_the_backend_reports_the_holes_of_the_whole(write_frames):
     """The removed mask is the network's, not that of the scores."""
-    from stss.frames.supersampler import Supersampler
-    from stss.sequence.reader import open_sequence
-
     files = open_sequence(write_frames(range(6), rendered=range(0, 6, 2), size=(16, 24)), "stss")
     frames = [files.load(number) for number in range(6)]
-    valid = [
-        [output.valid for output in Supersampler(backend=WithoutPart(table.random(1), part))(frames)]
-        for part in (None, "mask", ERM)
-    ]
+    weights = table.random(1)
+    backends = ReferenceBackend(weights), *(WithoutPart(weights, method) for method in ("without-mask", ERM))
+    valid = [[output.valid for output in Supersampler(backend=backend)(frames)] for backend in backends]
     for other in valid[1:]:
         np.testing.assert_array_equal(other, valid[0])
     assert not np.all(valid[0])
