@@ -27,11 +27,10 @@
 // of history and x0 is at (y + 1, x + 1); no kernel writes their border of zeros.
 // history, x0 and color3 may be a strip of the frame: R rows whose row 0 is the frame's row `top`; mask and keys cover
 // the whole frame.
-// Build -D of motion_chain.clh and holes.cl, optionally
+// Build -D of holes.cl, optionally
 //  -D STORED        the type of history and x0
 //  -D STREAM        see common.clh
 //  -D EIGHT_PIXELS  a work-item has eight pixels in a row, for processors
-//  -D LONGEST       GATHER is gather_longest
 //  -D DETAIL        the second colour is that of detail.clh
 //  -D RESHADE       stage reshade fills the holes
 //
@@ -66,7 +65,7 @@ kernel void chain_steps(global const float2 *restrict motion0, global const floa
     const Chain c = {{motion0, motion1, motion2, motion3, motion4}, newest, middle, oldest,
                      motions, motions + height * width, motions + 2 * height * width, height, width};
     // clang-format on
-#if defined(EIGHT_PIXELS) && defined(LONGEST)
+#ifdef EIGHT_PIXELS
     if (left + 8 <= width) {
         chain_eight(c, left, y);
         return;

@@ -7,7 +7,7 @@
 //
 // Kernel motion_of_two is for k = 2 with the motions in two buffers, `newer` and `older`.
 //
-// Build -D GATHER=gather_longest | gather_nearest | gather_bilinear.  Launch (W, H) rounded up.
+// Launch (W, H) rounded up.
 #include "motion_chain.clh"
 
 kernel void motion_chain(global const float2 *restrict motions, global float2 *restrict motion, const int k,

@@ -19,7 +19,6 @@ from stss_cl.network.layers import Layers
 from stss_cl.network.network import Network
 from stss_cl.options import Precision
 from stss_ref.arrays import Array, require_finite, require_shape
-from stss_ref.constants import Gather
 from stss_ref.weights import Weights
 
 
@@ -30,7 +29,6 @@ class Frame:
         weights: the 92 tensors.
         device: to run on; None = ``stss_cl.device.discovery.open_device()``.
         precision: see ``stss_cl.options.PRECISIONS``.
-        gather: how the motion chain reads between pixels (spec 2).
         memory_limit: see ``Network``.
 
     Raises:
@@ -43,12 +41,10 @@ class Frame:
         weights: Weights,
         device: Device | None = None,
         precision: Precision = "float32",
-        gather: Gather = "longest",
         memory_limit: int | None = None,
     ):
         self.network = Network(weights, device, precision, memory_limit)
         self.device, self.precision = self.network.device, precision
-        self._gather: Gather = gather
         self._prepare: Prepare | None = None
 
     def __call__(
@@ -136,7 +132,7 @@ class Frame:
 
     def _preparation(self, layers: Layers) -> Prepare:
         if self._prepare is None or self._prepare.inputs is not layers.inputs:
-            self._prepare = preparation(self.device, layers, self._gather)
+            self._prepare = preparation(self.device, layers)
         return self._prepare
 
     def _run(self, prepare: Prepare, layers: Layers, image: cl.Buffer) -> None:
@@ -169,9 +165,7 @@ class FrameStages:
         return {"image": image}
 
 
-def preparation(device: Device, layers: Layers, gather: Gather) -> Prepare:
+def preparation(device: Device, layers: Layers) -> Prepare:
     """The image-space stages that fill the inputs of ``layers``, by the choices of its weights."""
-    options = PrepareOptions(
-        gather, layers.second_color, layers.hole_test, layers.hole_fill, layers.colors_read, layers.reads_history
-    )
+    options = PrepareOptions(layers.second_color, layers.hole_test, layers.hole_fill, layers.colors_read, layers.reads_history)
     return Prepare(device, *layers.size, options, inputs=layers.inputs, tops=[strip.top for strip in layers.strips])

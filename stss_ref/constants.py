@@ -15,10 +15,6 @@ HoleFill = Literal["occlusion_warp", "reshade"]
 surface and like materials around it (`stss_ref.reshade`)."""
 HOLE_FILLS: tuple[HoleFill, ...] = get_args(HoleFill)
 
-Gather = Literal["longest", "nearest", "bilinear"]
-"""How a motion is read between pixels: see ``stss_ref.motion_chain.GATHERS``."""
-
-
 EARLIER_SHARES = (0.25, 0.125)
 """The shares that stage ``accumulate`` takes of earlier images, newest first (decision 45)."""
 

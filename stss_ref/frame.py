@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stss_ref.arrays import Array, ArrayError, Image, Mask, Plane, require
-from stss_ref.constants import Gather, HoleFill, HoleLimits, HoleTest
+from stss_ref.constants import HoleFill, HoleLimits, HoleTest
 from stss_ref.detail import detail
 from stss_ref.holes import holes
 from stss_ref.motion_chain import chain_steps
@@ -54,7 +54,7 @@ class NetworkInputs:
     history: Array
 
 
-def frame(inputs: FrameInputs, weights: Weights, gather: Gather = "longest") -> tuple[Image, Mask]:
+def frame(inputs: FrameInputs, weights: Weights) -> tuple[Image, Mask]:
     """Compute one display frame: motion chain, warp, holes and their fill, network.
 
     Source: spec 1 to 8, 11; paper, Eq. 1.
@@ -62,7 +62,6 @@ def frame(inputs: FrameInputs, weights: Weights, gather: Gather = "longest") -> 
     Args:
         inputs: the buffers.
         weights: the network's 92 tensors, with the second colour, hole test and hole fill of their training.
-        gather: how the motion chain reads between pixels.
 
     Returns:
         image: (2H, 2W, 3), not clipped.
@@ -71,19 +70,18 @@ def frame(inputs: FrameInputs, weights: Weights, gather: Gather = "longest") -> 
     Raises:
         ArrayError: shapes or dtypes differ, or an array that must be finite is not.
     """
-    prepared = prepare_for(weights, inputs, gather)
+    prepared = prepare_for(weights, inputs)
     image = network(prepared.color, prepared.gbuffer, prepared.mask, prepared.history, weights)
     return image, prepared.mask.astype(bool)
 
 
-def prepare_for(weights: Weights, inputs: FrameInputs, gather: Gather = "longest") -> NetworkInputs:
+def prepare_for(weights: Weights, inputs: FrameInputs) -> NetworkInputs:
     """The inputs of the network with these weights: ``prepare`` with their choices."""
-    return prepare(inputs, gather, weights.second_color, weights.hole_test, weights.hole_fill)
+    return prepare(inputs, weights.second_color, weights.hole_test, weights.hole_fill)
 
 
 def prepare(
     inputs: FrameInputs,
-    gather: Gather = "longest",
     second: SecondColor = "newest",
     test: HoleTest = "footprint",
     hole_fill: HoleFill = "occlusion_warp",
@@ -96,7 +94,7 @@ def prepare(
     detail of all warped frames (`detail`). ``test`` and ``limits``: see `holes`. ``hole_fill``: the stage that fills the holes.
     """
     _check(inputs)
-    motions = motion_by_step(inputs.motions, inputs.steps, gather)
+    motions = motion_by_step(inputs.motions, inputs.steps)
 
     pairs = [warp_one(inputs, i, motions.get(step), test, limits) for i, step in enumerate(inputs.steps)]
     warped, valids = [w for w, _ in pairs], [valid for _, valid in pairs]
@@ -108,9 +106,9 @@ def prepare(
     return NetworkInputs(color, inputs.gbuffer, valids[0].astype(color.dtype), stack_history(warped, valids))
 
 
-def motion_by_step(motions: Array, steps: Sequence[int], gather: Gather) -> dict[int, Image]:
+def motion_by_step(motions: Array, steps: Sequence[int]) -> dict[int, Image]:
     """The chained motion (H, W, 2) over each step that is not 0, by step."""
-    chained = chain_steps(motions[: max(steps)], gather) if max(steps) > 0 else ()
+    chained = chain_steps(motions[: max(steps)]) if max(steps) > 0 else ()
     return {step: motion for step, motion in enumerate(chained, start=1) if step in steps}
 
 

@@ -4,12 +4,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from typing import Literal
 
 import numpy as np
 
 from stss_ref.arrays import Array, Image, Mask, Plane, require, require_choice
-from stss_ref.constants import Gather
 from stss_ref.sample import Index, Place, follow, lerp
+
+Gather = Literal["longest", "nearest", "bilinear"]
+"""How a motion is read between pixels: see ``GATHERS``. All other stages and the backends take the longest."""
 
 
 def motion_chain(motions: Image, gather: Gather = "longest") -> Image:

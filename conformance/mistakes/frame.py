@@ -13,7 +13,7 @@ import numpy as np
 from conformance.protocol.reference_copy import Copy, Mistake, Plant, change_arguments, fault, half, put, returns, wrap
 from stss_ref.detail import PLACE
 from stss_ref.frame import is_missing, stack_history
-from stss_ref.motion_chain import motion_chain
+from stss_ref.motion_chain import gather_nearest, motion_chain
 from stss_ref.sample import follow, leads_inside
 
 Change = Callable[..., Any]
@@ -25,7 +25,7 @@ _frame = partial(fault, "frame")
 def _steps(name: str, what: str, by: int) -> Mistake:
     """Motions are chained over other steps."""
 
-    def wrong(motions: Any, steps: Any, _: Any) -> Any:
+    def wrong(motions: Any, steps: Any) -> Any:
         return {step: motion_chain(motions[: step + by]) for step in steps if step > 0 and step + by > 0}
 
     return _frame(name, what, put("frame.motion_by_step", wrong))
@@ -202,7 +202,7 @@ FRAME = (
         "a position that is not finite counts as 0",
         change_arguments("frame.holes", position_previous=_or_0),
     ),
-    _frame("nearest_chain", "the nearest pixel's motion", change_arguments("frame.motion_by_step", gather=lambda _: "nearest")),
+    _frame("nearest_chain", "the nearest pixel's motion", put("motion_chain.GATHERS", {"longest": gather_nearest})),
     _frame(
         "hole_test_ignored", "always the footprint's hole test", change_arguments("frame.prepare", test=lambda _: "footprint")
     ),

@@ -20,7 +20,6 @@ from stss_ground.arguments import require_choice, require_kind
 from stss_ground.errors import InputError
 from stss_ground.terminal import log
 from stss_ref.arrays import Image, Mask
-from stss_ref.constants import Gather
 from stss_ref.frame import FrameInputs, frame, prepare_for
 from stss_ref.resample import upsample_centres
 from stss_ref.weights import Weights, check
@@ -94,16 +93,14 @@ class ReferenceBackend(OnArrays):
 
     name, method = "ref", NETWORK
 
-    def __init__(self, weights: Weights, gather: Gather = "longest"):
-        self._weights = weights
-        self._gather: Gather = gather
-        self._residual = has_residual(weights)
+    def __init__(self, weights: Weights):
+        self._weights, self._residual = weights, has_residual(weights)
 
     def frame(self, inputs: FrameInputs) -> tuple[Image, Mask]:
         """See ``Backend``."""
         if self._residual:
-            return frame(inputs, self._weights, self._gather)
-        prepared = prepare_for(self._weights, inputs, self._gather)
+            return frame(inputs, self._weights)
+        prepared = prepare_for(self._weights, inputs)
         return upsample_centres(prepared.color[..., :3]), prepared.mask.astype(bool)
 
 

@@ -20,7 +20,7 @@ from stss_cl.device.parts import make_zeros
 from stss_cl.device.program import Program, marking, program_for
 from stss_cl.image_space.frame_planes import MOST_STEPS, Source, Sources, check_steps, planes, upload
 from stss_cl.image_space.stages import hole_options, program
-from stss_ref.constants import Gather, HoleFill, HoleTest
+from stss_ref.constants import HoleFill, HoleTest
 from stss_ref.weights import SecondColor
 
 FINITE = ("colors", "gbuffer", "nov", "stencils", "normals")
@@ -50,13 +50,11 @@ class PrepareOptions:
     """The choices for a frame.
 
     Attributes:
-        gather: how the motion chain reads between pixels.
         second, test, hole_fill: the network's second colour, the hole test and the fill of holes, see ``stss_ref.frame.prepare``.
         frames: the number of colour frames that are read, from the newest on: 1 or 3. With 1 ``inputs.earlier`` is not written.
         history: whether ``inputs.earlier`` is read; if not, it is not written, and no older frame is searched for holes.
     """
 
-    gather: Gather = "longest"
     second: SecondColor = "newest"
     test: HoleTest = "footprint"
     hole_fill: HoleFill = "occlusion_warp"
@@ -93,7 +91,7 @@ class Prepare:
         tops: Sequence[int] = (0,),
     ) -> None:
         options = PrepareOptions() if options is None else options
-        self.device, self.height, self.width, self._gather = device, height, width, options.gather
+        self.device, self.height, self.width = device, height, width
         self._frames, self._tops, self._is_detailed = options.frames, tuple(tops), options.second == "detail"
         self._stores = options.history and options.frames == 3
         self._test: HoleTest = options.test
@@ -125,8 +123,6 @@ class Prepare:
         """Those of frame.cl and downsample_8.cl."""
         options = {**storage_options(self.device, self.inputs.input.dtype), **marking(self.device, marks)}
         frame_options = {
-            "GATHER": f"gather_{self._gather}",
-            "LONGEST": self._gather == "longest",
             "EIGHT_PIXELS": self.device.is_cpu,
             **options,
             **hole_options(self._test),

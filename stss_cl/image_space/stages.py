@@ -20,7 +20,7 @@ from stss_cl.device.grid import grid
 from stss_cl.device.launch import Kernel
 from stss_cl.device.program import Program, program_for
 from stss_ref.arrays import ArrayError, require_dtype, require_finite, require_shape
-from stss_ref.constants import EARLIER_SHARES, Gather, HoleLimits, HoleTest
+from stss_ref.constants import EARLIER_SHARES, HoleLimits, HoleTest
 
 Inputs = Mapping[str, NDArray[Any]]
 Outputs = dict[str, NDArray[Any]]
@@ -43,22 +43,16 @@ def accumulate_program(device: Device) -> Program:
     )
 
 
-def chain_program(device: Device, gather: Gather = "longest") -> Program:
+def chain_program(device: Device) -> Program:
     """The program of stage ``motion_chain``."""
-    return program(device, "motion_chain.cl", {"GATHER": f"gather_{gather}"})
+    return program(device, "motion_chain.cl")
 
 
 class ImageStages:
-    """The image-space stages on one device.
+    """The image-space stages on one device."""
 
-    Args:
-        device: to run on.
-        gather: how the motion chain reads between pixels.
-    """
-
-    def __init__(self, device: Device, gather: Gather = "longest") -> None:
+    def __init__(self, device: Device) -> None:
         self.device = device
-        self.gather: Gather = gather
 
     def run_stage(self, name: str, inputs: Inputs) -> Outputs:
         """Run one stage on arrays, under the names and in the dtypes of spec 11.
@@ -130,9 +124,7 @@ def _motion_chain(stages: ImageStages, inputs: Inputs) -> Outputs:
     k, height, width, _ = motions.shape
     size = height, width
     motion = stages.buffer(size, 2)
-    stages.launch(
-        chain_program(stages.device, stages.gather), "motion_chain", size, motions=stages.upload(motions), motion=motion, k=k
-    )
+    stages.launch(chain_program(stages.device), "motion_chain", size, motions=stages.upload(motions), motion=motion, k=k)
     return {"motion": stages.download(motion, (*size, 2))}
 
 

@@ -20,7 +20,6 @@ from stss_cl.skip.arrival import Tiles
 from stss_cl.skip.change_control import MOST_CHANGED
 from stss_cl.skip.last_image import LastImage
 from stss_cl.skip.partial_network import PartialNetwork
-from stss_ref.constants import Gather
 
 
 @dataclass(frozen=True)
@@ -40,9 +39,9 @@ class Last:
 class FrameCache:
     """The data kept of the last frame of a kind. SF and EF have separate caches, since their inputs differ at every silhouette."""
 
-    def __init__(self, device: Device, layers: Layers, gather: Gather):
+    def __init__(self, device: Device, layers: Layers):
         self.layers, self.network = layers, PartialNetwork(layers)
-        self.prepare = preparation(device, layers, gather)
+        self.prepare = preparation(device, layers)
         self.last: Last | None = None
         self._is_first = True
         self._device = device

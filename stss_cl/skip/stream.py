@@ -32,7 +32,6 @@ from stss_cl.skip.frames_in_flight import Call, FrameInFlight, one_ahead
 from stss_cl.skip.uploaded_frames import UploadedFrame, UploadedFrames, sources
 from stss_ground.arguments import require_choice
 from stss_ref.arrays import Array, ArrayError, require_dtype, require_shape
-from stss_ref.constants import Gather
 from stss_ref.weights import Weights
 
 
@@ -43,7 +42,6 @@ class Stream:
         weights: the 92 tensors.
         device: to run on; None = ``stss_cl.device.discovery.open_device()``.
         precision: see ``stss_cl.options.PRECISIONS``.
-        gather: how the motion chain reads between pixels (spec 2).
         memory_limit: see ``stss_cl.network.network.Network``; if the data kept between frames do not fit, every frame is computed whole.
         skip: one of ``SKIPS``.
 
@@ -61,16 +59,14 @@ class Stream:
         weights: Weights,
         device: Device | None = None,
         precision: Precision = "float32",
-        gather: Gather = "longest",
         memory_limit: int | None = None,
         skip: Skip = "exact",
     ):
         require_choice("skip", skip, SKIPS)
-        self._whole = Frame(weights, device, precision, gather, memory_limit)
+        self._whole = Frame(weights, device, precision, memory_limit)
         self.device = self._whole.device
         self.precision: Precision = precision
         self.cost = Cost(1.0, "whole")
-        self._gather: Gather = gather
         self._weights, self._memory = weights, self.device.memory // 2 if memory_limit is None else memory_limit
         self._skip: Skip = skip
         self.control = ChangeControl()
@@ -325,7 +321,7 @@ class Stream:
                 self._skip = "off"
                 return None
             layers = Layers(self.device, self._weights, size, self.precision, self._memory, keep=True)
-            self._caches[extrapolates] = cache = FrameCache(self.device, layers, self._gather)
+            self._caches[extrapolates] = cache = FrameCache(self.device, layers)
             cache.load()  # here rather than at the first change
         return self._caches[extrapolates]
 

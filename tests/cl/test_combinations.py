@@ -1,4 +1,4 @@
-"""Every way to gather, to skip and to store, on both classes of device, on small frames; all pairs of values occur."""
+"""Every precision and way to skip, on both classes of device, on small frames"""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import pytest
 
 from conformance.tolerance import ratio
 from stss.frames.backends import ReferenceBackend
+from stss_cl.options import PRECISIONS
 from stss_cl.skip.stream import Stream
 from tests.cl.films import WEIGHTS, assert_same, calls_of, film
 
@@ -15,16 +16,13 @@ CHANGES = (*6 * ["nothing"], "moving", "moving", "pixel", "moving", "nothing", "
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize(
-    ("precision", "gather"),
-    [("float32", "longest"), ("float32-direct", "bilinear"), ("half", "nearest"), ("bfloat16", "longest")],
-)
-def test_every_way_gives_the_frames_of_the_reference(device, precision, gather):
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_every_way_gives_the_frames_of_the_reference(device, precision):
     """Those of `off` are the reference's; `exact` has its bits."""
     if precision == "bfloat16" and not device.is_cpu:
         pytest.skip("the same kernels on either class")
-    reference = ReferenceBackend(WEIGHTS, gather)
-    off, exact = (Stream(WEIGHTS, device, precision, gather, skip=skip) for skip in ("off", "exact"))
+    reference = ReferenceBackend(WEIGHTS)
+    off, exact = (Stream(WEIGHTS, device, precision, skip=skip) for skip in ("off", "exact"))
     in_part = [0, 0]
     for i, (window, steps) in enumerate(calls_of(film(CHANGES, SIZE))):
         image, valid = off(window, steps)

@@ -124,8 +124,8 @@ def test_a_driver_need_not_know_the_names(processor, kernels, buffers, monkeypat
 @pytest.mark.parametrize(
     ("file", "options"),
     [
-        ("frame.cl", {"GATHER": "gather_longest", **hole_options("footprint")}),
-        ("frame.cl", {"GATHER": "gather_longest", **hole_options("footprint"), "DETAIL": True}),
+        ("frame.cl", hole_options("footprint")),
+        ("frame.cl", {**hole_options("footprint"), "DETAIL": True}),
         ("conv_amx.cl", AMX),
         ("conv_amx.cl", {**AMX, "IMAGE": True}),
     ],

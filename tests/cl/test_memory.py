@@ -149,11 +149,8 @@ def stages(device):
         }
         image, *earlier = random.normal(0, 2, (3, 2 * size[0], 2 * size[1], 3)).astype(np.float32)
         mixed = inputs | {"image": image, "earlier": np.stack(earlier), "motions": inputs["motions"][:2]}
-        for gather in ("longest", "nearest", "bilinear"):
-            for stage in ("motion_chain", "warp", "holes", "occlusion_warp", "reshade", "rrm", "accumulate")[
-                : None if gather == "longest" else 1
-            ]:
-                yield from ImageStages(device, gather).run_stage(stage, mixed if stage == "accumulate" else inputs).values()
+        for stage in ("motion_chain", "warp", "holes", "occlusion_warp", "reshade", "rrm", "accumulate"):
+            yield from ImageStages(device).run_stage(stage, mixed if stage == "accumulate" else inputs).values()
         yield Accumulate(device)(image, earlier, mixed["motions"])
         output = OutputKernels(device)
         for motion, srgb, highlights in ((inputs["motion"], True, "color"), (None, False, None)):

@@ -158,7 +158,7 @@ def test_each_frame_is_compared_with_its_own_planes(steps, test):
         want = reshade(inputs.colors[0], newest, motion, valid, *planes, base_color)
         assert not np.array_equal(want, newest)
         np.testing.assert_array_equal(filled, want)
-    assert motion_by_step(inputs.motions, steps, "longest").keys() == {*steps} - {0}
+    assert motion_by_step(inputs.motions, steps).keys() == {*steps} - {0}
 
 
 @settings(max_examples=15)
@@ -171,7 +171,7 @@ def test_the_weights_say_what_the_second_colour_is(data, size, seed):
     weights, newest, detailed = random_weights(seed), prepare(inputs), prepare(inputs, second="detail")
     for name in ("gbuffer", "mask", "history"):
         np.testing.assert_array_equal(getattr(newest, name), getattr(detailed, name))
-    first, chained = newest.color[..., :3], motion_by_step(inputs.motions, inputs.steps, "longest")
+    first, chained = newest.color[..., :3], motion_by_step(inputs.motions, inputs.steps)
     before = (0, *inputs.steps)
     there = [i for i, step in enumerate(inputs.steps) if step > before[i]]
     frames = [(inputs.colors[i], chained[inputs.steps[i]], inputs.stencils[i + 1]) for i in there]
