@@ -8,13 +8,14 @@ import os
 import re
 import unicodedata
 from collections import defaultdict
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Sequence
 from contextlib import suppress
 from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
 from stss.images.headers import read_header
+from stss_ground.arguments import listing
 from stss_ground.errors import InputError
 
 _SEPARATORS = "._- "
@@ -23,7 +24,7 @@ _STEM = re.compile(r"(.*?)(\d+)(\D*)", re.DOTALL)
 _PATTERN = re.compile(r"(.*?)#+([^#]*)", re.DOTALL)
 _FOREIGN = (r"%0?\d*d|\$F\d?|<F\d?>|<frame>|@+|\*", r"\[\d+-\d+\]|\{\d+\.\.\d+\}|\d+-\d+", r"\d+(?=\D*$)")
 """How other programs write the frame number (Nuke, FFmpeg, Houdini, Arnold, V-Ray, RV, shells), or a range; then one frame's own."""
-_DIGIT = re.compile(r"\d")
+_DIGIT, _DIGITS = re.compile(r"\d"), re.compile(r"(\d+)")
 _PICTURES = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".mp4", ".mov", ".mkv"}
 _FRACTION = re.compile(r"(.*[^\dvV]|)(\d+)\.", re.DOTALL)
 """The part before the digits of ``NAME.0001.5``; ``v1.0001`` is a version."""
@@ -31,6 +32,8 @@ _FRACTION = re.compile(r"(.*[^\dvV]|)(\d+)\.", re.DOTALL)
 MAX_DIGITS = 9
 """Most digits of a frame number, not counting leading zeros; a longer number is a date or a hash."""
 
+LISTED = 5
+"""Most sequences that an error lists: where another number than the frame's is the last one, each frame looks like a sequence."""
 LOOKED_INTO = 20
 """Most folders in the place of a sequence whose images are looked at; some farms leave one for each frame."""
 
@@ -122,11 +125,29 @@ def find_frames(path: Path, endings: Collection[str]) -> Frames:
             f"{path}: no frames; expected files named like {kinds}{others}{_fractions(files)}{_below(folder)}{_pictures(folder)}"
         )
     if len(by_prefix) > 1:
-        stems = ", ".join(name or "(no name)" for name in sorted(by_prefix))
+        first = {name[0]: file for name, file in reversed(parts) if name is not None}
+        patterns = {_pattern(file): len(by_prefix[name]) for name, file in first.items()}
+        found = sorted(patterns, key=lambda pattern: (-patterns[pattern], pattern))
+        counts = listing([f"{each} ({patterns[each]} frame{'s' * (patterns[each] > 1)})" for each in found], LISTED)
         raise InputError(
-            f"{path}: several sequences: {stems}; give one as a pattern, like NAME.####.exr, with #### for the number{_fractions(files)}"
+            f"{path}: several sequences: {counts}; give one as a pattern, with #### for the number{_other_number(files)}{_fractions(files)}"
         )
     return next(iter(by_prefix.values()))
+
+
+def _pattern(file: NumberedFile) -> str:
+    """The pattern of a file's sequence, for an error."""
+    return f"{file.before}####{file.after}{file.path.suffix}"
+
+
+def _other_number(files: Sequence[NumberedFile]) -> str:
+    """A note where all names have the same last number, and one other number differs; else nothing."""
+    names = [_DIGITS.split(file.path.name) for file in files]
+    differ = [place for place, words in enumerate(zip(*names, strict=False)) if len({*words}) > 1]
+    if len({len(name) for name in names}) > 1 or len(differ) != 1 or not differ[0] % 2:
+        return ""
+    number = differ[0]
+    return f"; if {names[0][number]} is a frame's number, it is {''.join([*names[0][:number], '####', *names[0][number + 1 :]])}"
 
 
 def _fractions(files: Iterable[NumberedFile]) -> str:
@@ -177,6 +198,8 @@ def _advice(path: Path) -> str:
     """A note where the path is a pattern of another program, one frame, or written as on Windows; else nothing."""
     if os.sep == "/" and "\\" in str(path):
         return "; the path has \\, and folders are separated by / here"
+    if path.stem == "*":
+        return f"; write {path.parent}"
     if path.suffix.lower() == ".exr":
         for number in _FOREIGN:
             pattern, count = re.subn(number, "####", path.stem, count=1, flags=re.IGNORECASE)

@@ -64,6 +64,12 @@ def test_the_pattern_of_another_program_is_told_as_ours(tmp_path, pattern, advic
     assert str(error.value).partition("; write ")[2] == (advice or "")
 
 
+def test_all_files_of_a_folder_are_the_folder(tmp_path):
+    with pytest.raises(InputError) as error:
+        find_frames(tmp_path / "*.exr", [""])
+    assert str(error.value).endswith(f"found nothing; write {tmp_path}")
+
+
 def test_a_name_that_windows_refuses_is_told_as_ours(tmp_path, monkeypatch):
     def refuse(folder):
         raise OSError(errno.EINVAL, "The filename is incorrect", str(folder))
@@ -145,8 +151,10 @@ def test_a_pattern_says_where_the_separators_are(tmp_path):
 def test_a_pattern_says_which_number_is_the_frame(tmp_path):
     names = {n: f"sh_000{n}_v02.4k" for n in (1, 2)}
     assert find_names(tmp_path, *names.values(), "sh_0003_v01.4k", path=tmp_path / "sh_####_v02.4k.exr") == names
-    with pytest.raises(InputError, match=r"with #### for the number"):
+    with pytest.raises(InputError, match=r"v01\.####k\.exr \(1 frame\); give one as a pattern, with #### for the number$"):
         find_names(tmp_path)
+    with pytest.raises(InputError, match=r", \.\.\. \(20 in all\); give .*; if 0000 is a frame's number, it is a1_####_v3\.exr$"):
+        find_names(tmp_path / "late", *(f"a1_{n:04d}_v3" for n in range(20)))
 
 
 def test_accents_are_written_in_two_ways(tmp_path):
