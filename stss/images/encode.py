@@ -24,13 +24,12 @@ HALF_MAX = 65504.0
 _TYPES = {
     "framesPerSecond": "rational",
     "FramesPerSecond": "rational",
-    "adoptedNeutral": "vector2",
     "smpte:TimeCode": "timecode",
     "worldToCamera": "matrix",
     "worldToNDC": "matrix",
 }
 """Metadata of several numbers -> OpenImageIO's type; the others are floats."""
-_OF_A_SCENE = ("oiio:ColorSpace", "adoptedNeutral", "chromaticities", "whiteLuminance")
+_OF_A_SCENE = ("oiio:ColorSpace", "chromaticities", "whiteLuminance")
 """Metadata of scene-linear colour. In a PNG, a viewer would take this linear space for that of the pixels, and show them washed out."""
 
 _CHUNK_LINES = 16
