@@ -77,7 +77,8 @@ def judge_sampling(sequence: Sequence) -> Sampling:
         apart, share = max(limits)
         # A sky may have a depth, of the far plane or of a dome, but it has no normal to be mixed.
         surface = np.isfinite(buffers.depth) & np.isfinite(buffers.normal).all(axis=-1) & (buffers.normal != 0).any(axis=-1)
-        length = np.linalg.norm(buffers.normal[surface].astype(np.float64), axis=-1)
+        n = [buffers.normal[..., i][surface].astype(np.float64) for i in range(3)]
+        length = np.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
         hit, mixed = hit + length.size, mixed + int((np.abs(length - 1) > apart).sum())
         count, of = _colors_between(buffers, linear=linear)
         edges, between = edges + of, between + count
@@ -101,20 +102,24 @@ def _limits(header: Header, name: str) -> tuple[float, float]:
 def _colors_between(buffers: Buffers, *, linear: bool) -> tuple[int, int]:
     """The number of edges with a colour in between, and of all edges with contrast; along rows and columns."""
     assert buffers.color is not None
-    color = transfer("srgb" if linear else "none").encode(np.nan_to_num(buffers.color)).astype(np.float64)
     normal = np.nan_to_num(buffers.normal)
-    rows, columns = _between(color, normal), _between(color.swapaxes(0, 1), normal.swapaxes(0, 1))
+    rows = _between(buffers.color, normal, linear=linear)
+    columns = _between(buffers.color.swapaxes(0, 1), normal.swapaxes(0, 1), linear=linear)
     return rows[0] + columns[0], rows[1] + columns[1]
 
 
-def _between(color: Array, normal: Array) -> tuple[int, int]:
+def _between(color: Array, normal: Array, *, linear: bool) -> tuple[int, int]:
     """The same along rows. An edge is four pixels in a row, the first two of one surface and the last two of another."""
-    jump = np.abs(np.diff(normal, axis=1)).max(axis=-1)
-    first, second, third = jump[:, :-2], jump[:, 1:-1], jump[:, 2:]
-    way = color[:, 3:] - color[:, :-3]
+    # Component by component: NumPy is slow where the axis that lies together has three numbers.
+    steps = [np.abs(np.diff(normal[..., i], axis=1)) for i in range(3)]
+    jump = np.maximum(np.maximum(steps[0], steps[1]), steps[2])
+    y, x = np.nonzero((jump[:, :-2] < SAME) & (jump[:, 1:-1] > STEP) & (jump[:, 2:] < SAME))
+    encode = transfer("srgb" if linear else "none").encode
+    start, *inner, stop = encode(np.stack([color[y, x + i] for i in range(4)])).astype(np.float64)
+    way = stop - start
     square = (way * way).sum(axis=-1)
-    edge = (first < SAME) & (second > STEP) & (third < SAME) & (square > CONTRAST**2)
-    shares = [((part - color[:, :-3]) * way).sum(axis=-1)[edge] / square[edge] for part in (color[:, 1:-2], color[:, 2:-1])]
+    edge = square > CONTRAST**2
+    shares = [((part - start) * way).sum(axis=-1)[edge] / square[edge] for part in inner]
     low, high = BETWEEN
     has_between = np.any([(share > low) & (share < high) for share in shares], axis=0)
     return int(has_between.sum()), int(edge.sum())
