@@ -26,8 +26,8 @@ GBUFFER_SAMPLES = 4
 """Samples of frames that are not rendered: base colour and normals need few, light needs none."""
 HARMLESS = {
     "--accumulate", "--also", "--backend", "--cuts", "--depth", "--device", "--format", "--frames", "--keep-going",
-    "--memory-limit", "--metallic", "--no-accumulate", "--non-finite", "--precision", "--roughness", "--skip", "--transfer",
-    "--weights",
+    "--memory-limit", "--metallic", "--no-accumulate", "--non-finite", "--precision", "--roughness", "--skip", "--static",
+    "--transfer", "--weights",
 }  # fmt: skip
 """Options of ``stss run`` that another person's scene may name, without a path: they read and write no further file."""
 PACKAGES = Path(__file__).parent / "packages"

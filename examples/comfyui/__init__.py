@@ -20,7 +20,7 @@ import stss
 from stss.frames.output import choose_rendered
 from stss.images.color import transfer
 from stss.sequence.antialiasing import judge_sampling
-from stss.sequence.background import BACKGROUNDS, Background
+from stss.sequence.background import MOTION_SOURCES, MotionSource
 from stss.sequence.choose_weights import AUTO, weights_for
 from stss.sequence.find_files import find_frames
 from stss.sequence.find_profile import settle_profile
@@ -56,21 +56,21 @@ class LoadFrames:
             "required": {
                 "folder": ("STRING", {"default": "", "tooltip": "a folder, or a pattern like folder/name.####.exr"}),
                 "profile": (["auto", *profile_names()], {"tooltip": "the renderer's conventions; auto: by the channels' names"}),
-                "background": (list(BACKGROUNDS), {"tooltip": "camera: for files without its motion, such as Blender's"}),
+                "background": (list(MOTION_SOURCES), {"tooltip": "camera: for files without its motion, such as Blender's"}),
                 "first": ("INT", {"default": 0, "min": 0, "max": 10**9, "tooltip": "a frame's number; 0: the first there is"}),
                 "count": ("INT", {"default": 16, "min": 1, "max": 10_000, "tooltip": "display frames; 60 MiB each at 960 x 540"}),
             }
         }
 
     @classmethod
-    def IS_CHANGED(cls, folder: str, profile: str, background: Background, first: int, count: int) -> str:  # noqa: N802
+    def IS_CHANGED(cls, folder: str, profile: str, background: MotionSource, first: int, count: int) -> str:  # noqa: N802
         """Another value once a file is another one: the frames are then read again."""
         table = settle_profile(_path(folder), None if profile == "auto" else profile)
         frames = find_frames(_path(folder), table.endings)
         stats = [(n, path.stat()) for n in sorted(frames) for path in frames[n].values()]
         return repr([(n, stat.st_mtime_ns, stat.st_size) for n, stat in stats])  # a copy may keep the time
 
-    def load(self, folder: str, profile: str, background: Background, first: int, count: int) -> tuple[Any, GBuffer]:
+    def load(self, folder: str, profile: str, background: MotionSource, first: int, count: int) -> tuple[Any, GBuffer]:
         """Read ``count`` display frames from the first rendered one on; the same ones count as rendered as in ``stss run``."""
         sequence = stss.open_sequence(_path(folder), None if profile == "auto" else profile, background=background)
         rendered = choose_rendered(sequence.numbers, sequence.rendered, None)

@@ -15,7 +15,7 @@ from stss.frames.compute_options import ComputeOptions
 from stss.images.color import HDR_IS_GONE, TRANSFERS
 from stss.images.headers import MAX_SIDE
 from stss.quality.flip_vmaf import Perceptual
-from stss.sequence.background import BACKGROUNDS
+from stss.sequence.background import MOTION_SOURCES
 from stss.sequence.choose_weights import AUTO
 from stss.sequence.find_files import MAX_DIGITS
 from stss.sequence.reader import SequenceOptions
@@ -100,10 +100,17 @@ def sequence_options(command: Command) -> Command:
         click.option("--roughness", type=Number(0, 1), help="A constant, for files without this buffer."),
         click.option(
             "--background",
-            type=click.Choice(BACKGROUNDS),
+            type=click.Choice(MOTION_SOURCES),
             default="files",
             show_default=True,
             help="Source of the background's motion: camera computes it, for files without it.",
+        ),
+        click.option(
+            "--static",
+            type=click.Choice(MOTION_SOURCES),
+            default="files",
+            show_default=True,
+            help="Source of the motion of what has stencil 0, and of the background: camera computes it, for files without motion.",
         ),
         click.option(
             "--non-finite",

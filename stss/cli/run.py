@@ -116,7 +116,9 @@ def _tell_of_reading(frames: Sequence, reading: SequenceOptions) -> None:
         _tell(note)
     if frames.solves_camera:
         _tell("camera: from position and depth; --camera CSV gives another")
-    if reading.background == "camera":
+    if reading.static == "camera":
+        _tell("motion: of the background and of static geometry it is computed from the camera")
+    elif reading.background == "camera":
         _tell("background: its motion is computed from the camera; the files' motion is not used there")
     for buffer, value in (("roughness", reading.roughness), ("metallic", reading.metallic)):
         if value is not None and buffer in frames.first.sources:

@@ -31,7 +31,7 @@ from stss_ref.schedule import FrameKind, schedule
 
 HOLES = "holes"
 """Subfolder of the run's folder: the warping holes."""
-SETTINGS = ("spec", "method", "weights", "transfer", "highlights", "depth", "profile", "background")
+SETTINGS = ("spec", "method", "weights", "transfer", "highlights", "depth", "profile", "background", "static")
 """Of a frame's metadata: what all frames of one run have in common."""
 STATIC_HOLES = "stss:static-holes"
 """Metadata of an EF: `stss.frames.static_holes.static_holes`."""
@@ -227,7 +227,11 @@ def describe(sequence: Sequence, options: RunOptions, method: str, backend: str,
         "stss:highlights": "carried past the network" if transfer(options.transfer).clips else "as the transfer has them",
         "stss:depth": options.depth,
         "stss:profile": sequence.profile.name,
-        **({"stss:background": "motion from the camera"} if sequence.background == "camera" else {}),
+        **{
+            f"stss:{name}": "motion from the camera"
+            for name, source in (("background", sequence.background), ("static", sequence.static))
+            if source == "camera"
+        },
     }
 
 

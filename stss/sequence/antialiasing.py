@@ -114,6 +114,8 @@ def _between(color: Array, normal: Array, *, linear: bool) -> tuple[int, int]:
     steps = [np.abs(np.diff(normal[..., i], axis=1)) for i in range(3)]
     jump = np.maximum(np.maximum(steps[0], steps[1]), steps[2])
     y, x = np.nonzero((jump[:, :-2] < SAME) & (jump[:, 1:-1] > STEP) & (jump[:, 2:] < SAME))
+    if not len(y):
+        return 0, 0
     encode = transfer("srgb" if linear else "none").encode
     start, *inner, stop = encode(np.stack([color[y, x + i] for i in range(4)])).astype(np.float64)
     way = stop - start

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The motion of the background: the place in the previous frame of each direction of view, infinitely far away."""
+"""Motion by the camera: of the background, which is infinitely far away, and of static geometry."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from stss.images.windows import PixelWindow
 from stss.sequence.projection import Projection, solve_projection
 from stss_ref.arrays import Array, Image, Mask
 
-Background = Literal["files", "camera"]
-BACKGROUNDS: tuple[Background, ...] = get_args(Background)
-"""The sources of the background's motion."""
+MotionSource = Literal["files", "camera"]
+MOTION_SOURCES: tuple[MotionSource, ...] = get_args(MotionSource)
+"""The sources of the motion of what does not move itself."""
 LOOSE = 0.25
 """Pixels: if no projection fits positions better than this, they do not give the camera."""
 
@@ -35,13 +35,13 @@ def projection_of(frame: Buffers) -> Projection | None:
     return None if projection is None or projection.residual > LOOSE or len(projection.axes) < 3 else projection
 
 
-def projection_of_table(far: Array, display: PixelWindow, canvas: PixelWindow) -> Projection:
-    """The camera's projection of directions alone, as a table has it: see `stss.sequence.camera.CameraPose`."""
+def projection_of_table(far: Array, place: Array, display: PixelWindow, canvas: PixelWindow) -> Projection:
+    """The camera's projection by a table: ``far``, see `stss.sequence.camera.CameraPose`, and its ``place`` (3,), in cm."""
     rows, columns = display.within(canvas)
     height, width = display.size
     middle = np.array([columns.start + (width - 1) / 2, rows.start + (height - 1) / 2])
     matrix = np.concatenate([far * np.array([[1], [height / width], [1]]), np.zeros((3, 1))], axis=1)
-    return Projection(matrix, np.eye(3), np.zeros(3), middle, width / 2, 0.0)
+    return Projection(matrix, np.eye(3), place, middle, width / 2, 0.0)
 
 
 def background_motion(before: Projection, now: Projection, size: tuple[int, int]) -> Image:
@@ -69,3 +69,23 @@ def background_motion(before: Projection, now: Projection, size: tuple[int, int]
         there = np.stack([u / w, v / w], axis=-1) * before.half + before.middle
     there[~(w > 0)] = np.nan
     return (there.reshape(here.shape) - here).astype(np.float32)
+
+
+def static_motion(before: Projection, now: Projection, position: Image) -> Image:
+    """Motion of geometry at rest, from the camera alone: where the previous frame shows its positions.
+
+    Both frames are asked for the place of a position, so that a position that is not that of its pixel's centre, such as the mean of
+    samples, does no harm.
+
+    Args:
+        before: of the previous frame.
+        now: of this frame.
+        position: (H, W, 3) world position in cm.
+
+    Returns:
+        (H, W, 2) float32; pixels, current -> previous, x right, y down; NaN where it was behind the camera or has no position.
+    """
+    places = position.reshape(-1, 3).astype(np.float64)
+    (there, away), (here, _) = before.project(places), now.project(places)
+    there[~(away > 0)] = np.nan
+    return (there - here).astype(np.float32).reshape(*position.shape[:2], 2)

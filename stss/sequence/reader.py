@@ -16,7 +16,7 @@ from stss.frames.buffers import Buffers
 from stss.frames.display_frame import WINDOW
 from stss.images.headers import MAX_BYTES, MAX_SIDE, Header, read_header
 from stss.images.windows import PixelWindow, union
-from stss.sequence.background import Background, background_motion, projection_of, projection_of_table
+from stss.sequence.background import MotionSource, background_motion, projection_of, projection_of_table, static_motion
 from stss.sequence.camera import CameraPose, camera_of, read_cameras
 from stss.sequence.channels import MissingBuffersError, Source, find_sources, layers_of, view_of
 from stss.sequence.conventions import linear_depth, require_depth, to_specification
@@ -47,8 +47,8 @@ class Sequence:
         display: the display window of every frame.
         frames: display frame -> its files, buffers and camera.
         constants: buffer -> number to use without a channel.
-        non_finite, background: the policy for values that are not finite, and the source of the background's motion: see
-            `open_sequence`.
+        non_finite, background, static: the policy for values that are not finite, and the sources of the motion of the background and
+            of static geometry: see `open_sequence`.
         settings: everything besides the files on which `load` depends: text and numbers.
         tables: files that were read besides those of the frames: the profile's, the camera's.
     """
@@ -60,7 +60,8 @@ class Sequence:
     frames: Mapping[int, RawFrame]
     constants: Mapping[str, float]
     non_finite: NonFinite
-    background: Background
+    background: MotionSource
+    static: MotionSource
     settings: Mapping[str, object]
     tables: tuple[Path, ...]
     keeps: int = field(default=0, init=False, repr=False)
@@ -99,7 +100,9 @@ class Sequence:
     def has(self, number: int, buffer: str) -> bool:
         """Whether a buffer of a frame is in the frame's files, is a constant, or can be computed."""
         frame = self._frame(number)
-        computed = buffer == "nov" and (frame.camera is not None or {"depth", "position"} <= frame.sources.keys())
+        computed = (buffer == "nov" and (frame.camera is not None or {"depth", "position"} <= frame.sources.keys())) or (
+            buffer == "motion" and self.static == "camera"
+        )
         return buffer in frame.sources or buffer in self.constants or computed
 
     def files(self, number: int) -> tuple[Path, ...]:
@@ -142,30 +145,40 @@ class Sequence:
         if key in self._kept:
             return self._kept[key]
         buffers = self._load(number, color=color, also=also)
-        if self.background == "camera" and number - 1 in self.frames and not np.isfinite(buffers.depth).all():
-            buffers = self._with_background(buffers)
+        if number - 1 in self.frames and (
+            self.static == "camera" or (self.background == "camera" and np.isinf(buffers.depth).any())
+        ):
+            buffers = self._with_motion(buffers)
         size = sum(plane.nbytes for plane in vars(buffers).values() if isinstance(plane, np.ndarray))
         if size <= self.keeps:
             self._kept[key] = buffers
             self.keeps -= size
         return buffers
 
-    def _with_background(self, buffers: Buffers) -> Buffers:
-        """The frame with the background's motion by the camera; unchanged if its predecessor, which no output then uses, cannot be read."""
+    def _with_motion(self, buffers: Buffers) -> Buffers:
+        """The frame with the motion that the camera gives; unchanged if its predecessor, which no output then uses, cannot be read."""
         try:
             before = self._projection(buffers.number - 1)
         except InputError:
             return buffers
-        now = self._projection(buffers.number, buffers)
-        background = ~np.isfinite(buffers.depth)[..., None]
+        now, moves = self._projection(buffers.number, buffers), buffers.stencil != 0
+        option = "--background camera" if self.static == "files" else "--static camera"
+        if self.static == "camera" and "motion" not in self._frame(buffers.number).sources and moves.any():
+            raise InputError(
+                f"{self._where(buffers.number)}: {option}: no motion for objects whose stencil is not 0, the first "
+                f"{buffers.stencil[moves][0]:g}; write their motion into the files, or 0 as the stencil of what is at rest"
+            )
         if before is None or now is None:
             number = buffers.number - (now is not None)
             raise InputError(
-                f"{self._where(buffers.number)}: --background camera: positions of static geometry in frame {number} do not give the "
+                f"{self._where(buffers.number)}: {option}: positions of static geometry in frame {number} do not give the "
                 "camera: too few, or all in one plane; let static geometry off the plane be seen, give a --camera table with its "
-                "directions, or write the background's motion into the files"
+                "directions, or write the motion into the files"
             )
-        motion = np.where(background, background_motion(before, now, self.size), buffers.motion)
+        motion, background = buffers.motion, ~np.isfinite(buffers.depth)
+        if self.static == "camera":
+            motion = np.where(moves[..., None], motion, static_motion(before, now, buffers.position))
+        motion = np.where(background[..., None], background_motion(before, now, self.size), motion)
         return replace(buffers, motion=motion)
 
     def _projection(self, number: int, buffers: Buffers | None = None) -> Projection | None:
@@ -174,7 +187,8 @@ class Sequence:
             self._projections = {n: projection for n, projection in self._projections.items() if abs(n - number) <= WINDOW}
             camera = self._frame(number).camera
             if camera is not None and camera.far is not None:
-                self._projections[number] = projection_of_table(camera.far, self.display, self.canvas)
+                place = camera.position / self.profile.units_per_cm
+                self._projections[number] = projection_of_table(camera.far, place, self.display, self.canvas)
                 return self._projections[number]
             self._projections[number] = projection_of(buffers or self._load(number, color=False))
         return self._projections[number]
@@ -188,6 +202,8 @@ class Sequence:
             raise MissingBuffersError(self._where(number), self.profile, missing, frame.files, frame.sources)
         others = self._carried(number, also) if color and "color" in frame.sources else {}
         arrays, carried = read_stored(frame, self.canvas, self.constants, others, color=color)
+        if "motion" not in arrays:  # the camera gives it
+            arrays["motion"] = np.full((*self.size, 2), self.profile.motion.bias, np.float32)
         require_depth(self._where(number), arrays["depth"], self.profile.depth)
         outside = self._outside(frame)
         if outside is not None:
@@ -331,7 +347,8 @@ def open_sequence(
     metallic: float | None = None,
     roughness: float | None = None,
     non_finite: NonFinite = "refuse",
-    background: Background = "files",
+    background: MotionSource = "files",
+    static: MotionSource = "files",
     track: Track = iter,
     keep_going: bool = False,
 ) -> Sequence:
@@ -347,6 +364,8 @@ def open_sequence(
             "refuse": InputError; "mask": 0, and no later frame trusts such a colour.
         background: the source of the background's motion. "files": the files' motion. "camera": the rotation of the camera, which the
             positions of static geometry give (`stss.sequence.background`).
+        static: the source of the motion of static geometry, whose stencil is 0. "files": the files' motion. "camera": the camera gives it,
+            and that of the background; the files may have no motion.
         track: may show how many headers are read.
         keep_going: a frame whose headers cannot be read, or that has another size than the first, is an error when it is loaded, and
             not before.
@@ -361,7 +380,8 @@ def open_sequence(
     camera = None if camera is None else path_of("camera", camera)
     for name, value, choices in (
         ("non_finite", non_finite, get_args(NonFinite)),
-        ("background", background, get_args(Background)),
+        ("background", background, get_args(MotionSource)),
+        ("static", static, get_args(MotionSource)),
     ):
         require_choice(name, value, choices)
     table = settle_profile(path, profile)
@@ -384,7 +404,7 @@ def open_sequence(
     if first is None:
         raise next(frame.fault for frame in frames.values() if frame.fault)
     canvas = _canvas(path, first.display, frames.values())
-    _require_buffers(path, table, frames, constants)
+    _require_buffers(path, table, frames, {*constants, *(["motion"] if static == "camera" else [])})
     _require_fractions(next(frame for frame in frames.values() if frame.fault is None))
     settings = {
         "profile": hashlib.sha256(repr(replace(table, path=Path())).encode()).hexdigest(),
@@ -392,6 +412,7 @@ def open_sequence(
         "constants": dict(sorted(constants.items())),
         "non_finite": non_finite,
         "background": background,
+        "static": static,
         "windows": [canvas, first.display],
     }
     return Sequence(
@@ -403,6 +424,7 @@ def open_sequence(
         constants=constants,
         non_finite=non_finite,
         background=background,
+        static=static,
         settings=settings,
         tables=(table.path,) if camera is None else (table.path, camera),
     )
@@ -417,7 +439,8 @@ class SequenceOptions:
     metallic: float | None = None
     roughness: float | None = None
     non_finite: NonFinite = "refuse"
-    background: Background = "files"
+    background: MotionSource = "files"
+    static: MotionSource = "files"
 
     def open(self, path: str | Path, track: Track = iter, *, keep_going: bool = False) -> Sequence:
         """Open a sequence with these choices; errors as of `open_sequence`."""
@@ -485,10 +508,12 @@ def _require_fractions(frame: RawFrame) -> None:
                 )
 
 
-def _require_buffers(path: Path, profile: Profile, frames: Mapping[int, RawFrame], constants: Mapping[str, float]) -> None:
-    """Raise InputError if no frame at all has some buffers: then the profile or the render is wrong, and no file is missing."""
-    assert set(constants) <= set(CONSTANTS)
-    present = {*constants, *(buffer for frame in frames.values() for buffer in frame.sources)}
+def _require_buffers(path: Path, profile: Profile, frames: Mapping[int, RawFrame], others: Collection[str]) -> None:
+    """Raise InputError if no frame at all has some buffers: then the profile or the render is wrong, and no file is missing.
+
+    ``others``: buffers that need no channel.
+    """
+    present = {*others, *(buffer for frame in frames.values() for buffer in frame.sources)}
     missing = [buffer for buffer in BUFFERS if buffer not in present and buffer != "nov"]  # which follows from position and depth
     if missing:
         sound = next(frame for frame in frames.values() if frame.fault is None)

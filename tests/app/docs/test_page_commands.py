@@ -96,6 +96,8 @@ def write_as(folder, name):
         }
         channels = {}
         for buffer, (names, *_) in profile.channels.items():
+            if buffer in {*profile.files, *profile.constants}:
+                continue
             values = np.atleast_3d(planes.get(buffer, getattr(low, buffer)))
             if buffer != "color" or name == "unreal-mrq" or number % 2 == 0:
                 channels |= {full.replace("{layer}", "ViewLayer"): values[..., i] for i, full in enumerate(names)}
@@ -109,7 +111,7 @@ def prepared(tmp_path_factory):
     folder = tmp_path_factory.mktemp("pages")
     write_demo_sequence(folder, COUNT, SIZE)
     (folder / "frames").rename(folder / "stss")
-    for name in ("blender", "unreal-mrq"):
+    for name in ("blender", "unreal-mrq", "mitsuba"):
         write_as(folder / name, name)
     assert not call("run", folder / "stss", "-o", folder / "made", "--weights", "bilinear", "--backend", "ref").returncode
     return folder

@@ -21,6 +21,7 @@ OPTIONS = {
     "--metallic": "0.25",
     "--roughness": "0.25",
     "--background": "camera",
+    "--static": "camera",
     "--weights": "random.safetensors",
     "--rendered": "odd",
     "--cuts": "2",

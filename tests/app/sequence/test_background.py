@@ -8,7 +8,7 @@ from stss.check_sequence.report import check
 from stss.demo import demo_path, frame_channels
 from stss.images.headers import read_header
 from stss.images.read_write import read_channels, write_channels
-from stss.sequence.background import projection_of
+from stss.sequence.background import projection_of, static_motion
 from stss.sequence.camera import FAR, PLACE
 from stss.sequence.reader import SequenceOptions, open_sequence
 from stss_ground.errors import InputError
@@ -133,3 +133,113 @@ def test_without_a_camera_the_background_has_no_motion(write_frames):
         match=r"seq\.0002\.exr: --background camera: positions of .* in frame 2 do not give the camera: .* in one plane; let static",
     ):
         sequence.load(2)
+
+
+def write_without_motion(folder, scene):
+    """A sequence of a scene whose files lack motion, or if things move, have it only there."""
+    folder.mkdir()
+    for number in range(FRAMES):
+        view = render(SCENES[scene], number, *SIZE)
+        channels = frame_channels(view, rendered=number % 2 == 0)
+        for name in ("motion.X", "motion.Y"):
+            motion = channels.pop(name)
+            if view.stencil.any():
+                channels[name] = np.where(view.stencil == 0, 0, motion).astype(np.float32)
+        write_channels(demo_path(folder, number), channels)
+    return folder
+
+
+def write_table(path, right, units_per_cm):
+    """The cameras of a sequence, in its unit of length, with their directions."""
+    lines = [",".join([*PLACE, *FAR])]
+    for number in range(FRAMES):
+        projection = projection_of(right.load(number))
+        far = projection.far * [[1], [SIZE[1] / SIZE[0]], [1]]  # a share of the height, not of the width
+        lines.append(",".join(map(str, [number, *projection.camera * units_per_cm, *far.ravel()])))
+    path.write_text("\n".join(lines))
+    return path
+
+
+def test_a_camera_at_rest_moves_nothing(tmp_path):
+    """Wherever in its pixel a position was sampled."""
+    frame = open_sequence(write(tmp_path / "in", "pan"), "stss").load(0)
+    projection = projection_of(frame)
+    position = frame.position + np.random.default_rng(0).normal(0, 5, frame.position.shape).astype(np.float32)
+    assert not static_motion(projection, projection, position).any()
+
+
+def test_what_was_behind_the_camera_has_no_place_before(tmp_path):
+    frame = open_sequence(write(tmp_path / "in", "pan"), "stss").load(0)
+    projection = projection_of(frame)
+    behind = 2 * projection.camera - frame.position[40:, :8]
+    assert np.isnan(static_motion(projection, projection, behind)).all()
+
+
+@pytest.mark.parametrize("table", [False, True], ids=["positions", "table"])
+@pytest.mark.parametrize("scene", ["pan", "flythrough"])
+def test_the_camera_gives_static_geometry_its_motion(tmp_path, scene, table):
+    """Near the truth, in any order of frames."""
+    right = open_sequence(write(tmp_path / "right", scene), "stss")
+    camera = write_table(tmp_path / "camera.csv", right, 1) if table else None
+    still = open_sequence(write_without_motion(tmp_path / "in", scene), "stss", camera=camera, static="camera")
+    for number in (3, 0, 1, 2, 4):
+        a, b, rest = right.load(number).motion, still.load(number).motion, right.load(number).stencil == 0
+        if number:
+            assert np.abs(a[rest]).max() > TURNS
+            assert np.abs(a - b).max() < RIGHT
+        else:
+            assert not b[rest].any()
+
+
+def test_what_moves_by_itself_keeps_the_motion_of_its_files(tmp_path):
+    folder = write(tmp_path / "in", "demo", lambda m: 0 * m)
+    files, camera = open_sequence(folder, "stss"), open_sequence(folder, "stss", static="camera")
+    moves = files.load(2).stencil != 0
+    assert moves.any()
+    assert np.array_equal(files.load(2).motion[moves], camera.load(2).motion[moves])
+
+
+def test_what_moves_by_itself_needs_a_motion(tmp_path):
+    folder = write_without_motion(tmp_path / "in", "pan")
+    for number in range(FRAMES):
+        planes = read_channels(path := demo_path(folder, number), read_header(demo_path(folder, number)).channels)
+        planes["stencil.X"][20, 30:] = 3
+        write_channels(path, planes)
+    result = call("run", folder, "-o", tmp_path / "out", *PLAIN, "--static", "camera")
+    assert result.returncode == 2
+    assert "demo.0001.exr: --static camera: no motion for objects whose stencil is not 0, the first 3; write" in result.stderr
+    result = call("run", tmp_path / "in", "-o", tmp_path / "out", *PLAIN)
+    assert result.returncode == 2
+    assert "no motion" in result.stderr
+
+
+def test_mitsuba_needs_no_motion_where_the_camera_alone_moves(tmp_path):
+    """Its channels' names; positions in metres, distances along the ray."""
+    folder = write_without_motion(tmp_path / "in", "pan")
+    right = open_sequence(write(tmp_path / "right", "pan"), "stss")
+    for number in range(FRAMES):
+        path, b = demo_path(folder, number), right.load(number)
+        position = np.where(np.isfinite(b.depth)[..., None], b.position / 100, 0)
+        camera = projection_of(b).camera / 100
+        ray = np.where(np.isfinite(b.depth), np.linalg.norm(position - camera, axis=-1), 0)
+        color = np.zeros((*SIZE, 3), np.float32) if b.color is None else b.color
+        groups = {"R G B": color, "albedo.R albedo.G albedo.B": b.base_color, "normal.X normal.Y normal.Z": b.normal}
+        groups |= {"position.X position.Y position.Z": position, "depth.T": ray[..., None]}
+        planes = {name: of[..., i].astype(np.float32) for names, of in groups.items() for i, name in enumerate(names.split())}
+        write_channels(path, planes)
+    options = ("--profile", "mitsuba", "--roughness", "0.5", "--metallic", "0")
+    result = call("check", folder, *options)
+    assert result.returncode == 2
+    assert "Mitsuba has no motion AOV: give --static camera where only the camera moves" in result.stdout + result.stderr
+    result = call("check", folder, *options, "--static", "camera")
+    assert result.returncode == 0, result.stdout + result.stderr
+    result = call(
+        "run", folder, "-o", tmp_path / "out", "--backend", "ref", "--weights", "bilinear", *options, "--static", "camera"
+    )
+    assert result.returncode == 0, result.stderr
+    assert "motion: of the background and of static geometry it is computed from the camera" in result.stderr
+    assert read_header(tmp_path / "out" / "frame.0003.exr").attributes["stss:static"] == "motion from the camera"
+    for camera in (None, write_table(tmp_path / "camera.csv", right, 0.01)):
+        still = open_sequence(folder, "mitsuba", metallic=0, roughness=0.5, static="camera", camera=camera)
+        for number in range(1, FRAMES):
+            assert np.abs(still.load(number).motion - right.load(number).motion).max() < RIGHT

@@ -252,7 +252,9 @@ def test_mitsuba_takes_motion_from_files_of_its_own(tmp_path):
     names = ["R", "G", "B", "normal.X", "normal.Y", "normal.Z", "depth.T", "nov.X", "albedo.R", "albedo.G", "albedo.B"]
     planes = dict.fromkeys([*names, "position.X", "position.Y", "position.Z"], one)
     write_channels(tmp_path / "render.0001.exr", planes)
-    with pytest.raises(InputError, match=r"no motion: .*\(Mitsuba has no motion AOV: project position .*NAME_motion\.NNNN\.exr"):
+    with pytest.raises(
+        InputError, match=r"no motion: .*\(Mitsuba has no motion AOV: give --static camera where .*NAME_motion\.NNNN\.exr"
+    ):
         open_sequence(tmp_path, "mitsuba", metallic=0, roughness=0.5)
     write_channels(tmp_path / "render_motion.0001.exr", {"X": 2 * one, "Y": 3 * one})
     sequence = open_sequence(tmp_path, "mitsuba", metallic=0, roughness=0.5)
