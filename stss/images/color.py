@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from stss.images.headers import Value
 from stss_ground.arguments import require_choice
 from stss_ground.cores import for_blocks
-from stss_ground.errors import InputError
 from stss_ref.arrays import Array, require_finite, require_shape
 
 TRANSFERS = ("none", "srgb")
@@ -26,9 +25,6 @@ TRANSFERS = ("none", "srgb")
 
 LARGEST = 65504.0
 """Largest number of half-precision EXR; larger scene-linear values are clipped to it."""
-
-HDR_IS_GONE = "hdr is gone: srgb carries highlights past the network, and is nearer to the truth"
-"""Its inverse made a lamp of 50 into pixels of 65504 (docs/decisions/0039)."""
 
 REC709 = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)
 """Chromaticities x, y of red, green, blue and white: of Rec. 709 and sRGB, and of a file that names none."""
@@ -124,8 +120,6 @@ def same_primaries(a: Iterable[float], b: Iterable[float] = REC709) -> bool:
 
 def transfer(name: str) -> Transfer:
     """Return the transfer of this name; raises InputError for a name that is not in ``TRANSFERS``."""
-    if isinstance(name, str) and name == "hdr":
-        raise InputError(f"transfer: {HDR_IS_GONE}; take srgb")
     require_choice("transfer", name, TRANSFERS)
     return _TRANSFERS[name]
 
