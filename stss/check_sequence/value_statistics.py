@@ -47,6 +47,14 @@ WHOLE_HALF = 1 << 11
 """A half holds every whole number up to this one."""
 
 
+NEIGHBOURS = 2
+"""Frames from one colour to the next at half rate."""
+
+
+def _black(numbers: list[int]) -> str:
+    return f"colour: black in frame{'s' * (len(numbers) > 1)} {', '.join(map(str, numbers[:8]))}"
+
+
 class Values:
     """Counts and largest values over the checked frames."""
 
@@ -58,6 +66,8 @@ class Values:
         self._footprints: list[float] = []
         self._black: list[int] = []
         """The numbers of frames in which nothing was hit, and that are black: as farms leave those that failed."""
+        self._light: dict[int, float] = {}
+        """The number of each frame that has a colour and shows surfaces of a base colour -> the mean of its colours; 0 if all are 0."""
         self._before: tuple[int, Array, NDArray[np.intp]] | None = None
         """The number of the last frame, the object numbers in it, and the pixels of each."""
         self._middles: tuple[int, dict[float, Array]] = (0, {})
@@ -89,6 +99,8 @@ class Values:
         self._add_middles(buffers)
         if buffers.color is not None and not (hit.any() or buffers.color.any()):
             self._black.append(buffers.number)
+        if buffers.color is not None and buffers.base_color[hit].any():
+            self._light[buffers.number] = float(np.abs(buffers.color).mean(dtype=np.float64))
         if hit.any():
             farthest = buffers.depth == buffers.depth[hit].max()
             count["farthest without normal"] += int((farthest & (buffers.normal == 0).all(axis=-1)).sum())
@@ -218,12 +230,7 @@ class Values:
 
     def buffer_lines(self, hint: str | None = None) -> list[Line]:
         """Findings that need no files; ``hint``: what to do where no motion was rendered."""
-        lines: list[Line] = []
-        if self._counts["hit"] and self._black:
-            frames = ", ".join(map(str, self._black[:8]))
-            lines.append(
-                ("warning", f"colour: black in frames {frames}, in which nothing was hit, unlike in others: not rendered?")
-            )
+        lines = self._black_lines()
         if not self._counts["hit"]:
             lines.append(("warning", "depth: nothing was hit anywhere; expected linear depths > 0"))
         elif self._most.get("normal") == 0:
@@ -256,6 +263,30 @@ class Values:
                 text = "motion: 0 everywhere; expected only where neither camera nor objects move"
                 lines.append(("note", f"{text}; else {hint}" if hint else text))
         return lines + self._stencil_lines()
+
+    def _black_lines(self) -> list[Line]:
+        lines: list[Line] = []
+        if self._counts["hit"] and self._black:
+            lines.append(("warning", f"{_black(self._black)}, in which nothing was hit, unlike in others: not rendered?"))
+        if unlit := self._unlit():
+            lines.append(("warning", f"{_black(unlit)}, though surfaces are seen, unlike in frames beside: not rendered?"))
+        return lines
+
+    def _unlit(self) -> list[int]:
+        """The frames whose colours are all 0, where those before and after, or one beside, have at least half of the usual light.
+
+        At the end of a fade the frame beside has little.
+        """
+        numbers, light = np.array(sorted(self._light)), np.array([self._light[n] for n in sorted(self._light)])
+        lit, black = numbers[light > 0], numbers[light == 0]
+        if not (lit.size and black.size):
+            return []
+        usual = light[light > 0] >= np.median(light[light > 0]) / 2
+        at = np.searchsorted(lit, black)
+        before, after = np.maximum(at - 1, 0), np.minimum(at, lit.size - 1)
+        since, until = (at > 0) & usual[before], (at < lit.size) & usual[after]
+        beside = (since & (black - lit[before] <= NEIGHBOURS)) | (until & (lit[after] - black <= NEIGHBOURS))
+        return [int(n) for n in black[(since & until) | beside]]
 
     def _merged_lines(self, sequence: Sequence) -> list[Line]:
         source = next((f.sources["stencil"] for f in sequence.frames.values() if "stencil" in f.sources), None)

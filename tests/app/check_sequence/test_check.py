@@ -248,7 +248,7 @@ def test_a_frame_that_a_farm_left_black_is_named(write_frames):
 
     report = check(write_frames([1, 2, 3], change=change), SequenceOptions("stss"))
     assert [line for line in texts(report, "warning") if "black" in line] == [
-        "colour: black in frames 2, in which nothing was hit, unlike in others: not rendered?"
+        "colour: black in frame 2, in which nothing was hit, unlike in others: not rendered?"
     ]
 
 

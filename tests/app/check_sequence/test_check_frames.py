@@ -10,6 +10,7 @@ import stss
 from conformance.scenes import SCENES, render
 from stss.check_sequence.motion_convention import judge_motion
 from stss.check_sequence.report import check
+from stss.check_sequence.value_statistics import Values
 from stss.demo import demo_path, frame_channels
 from stss.images.read_write import write_channels
 from stss.sequence.conventions import normal_dot_view
@@ -49,6 +50,21 @@ def test_a_frame_of_another_time_is_named(frames):
     lines = stss.check_frames([*frames[:3], replace(frames[0], number=3)])
     text = "motion: wrong in frame 3 alone, by positions: a cut there (--cuts), or a frame of another version?"
     assert ("warning", text) in lines
+
+
+@pytest.mark.parametrize(("lights", "named"), [
+    ({0: 1, 2: 0, 4: 1}, "frame 2"), ({0: 1, 40: 0, 80: 0, 120: 1}, "frames 40, 80"),  # a check looks at few frames
+    ({0: 0, 1: 1, 2: 1}, "frame 0"), ({0: 1, 2: 1, 4: 0}, "frame 4"),  # an engine's first frame
+    ({0: 1, 2: 0.7, 4: 0.5, 6: 0.2, 8: 0}, ""), ({0: 0, 2: 0.3, 4: 1}, ""), ({0: 1, 60: 0.1, 120: 0}, ""),  # fades
+    ({0: 0, 2: 0}, ""), ({0: 1, 120: 0}, ""),
+])  # fmt: skip
+def test_a_colour_that_was_not_rendered_is_named(frames, lights, named):
+    """Black over surfaces with a base colour. A fade gets there by steps; of frames far apart nobody knows."""
+    values = Values()
+    for number, light in lights.items():
+        values.add_buffers(replace(frames[0], number=number, color=light * frames[0].color))
+    text = f"colour: black in {named}, though surfaces are seen, unlike in frames beside: not rendered?"
+    assert [line for _, line in values.buffer_lines() if "black" in line] == ([text] if named else [])
 
 
 TURN = np.float32([[1, 0, 0], [0, np.cos(0.14), np.sin(0.14)], [0, -np.sin(0.14), np.cos(0.14)]])
