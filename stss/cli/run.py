@@ -128,7 +128,8 @@ def _tell_of_reading(frames: Sequence, reading: SequenceOptions) -> None:
 def _tell_of_png(sequence: Sequence, options: RunOptions) -> None:
     if others := sequence.carries(options.also):
         _tell(f"png: without {', '.join(others)}; --format exr has them")
-    primaries = chromaticities(sequence.first.attributes)
+    colored = (frame for number in sequence.numbers if "color" in (frame := sequence.frames[number]).sources)
+    primaries = chromaticities(next(colored, sequence.first).attributes)
     if not same_primaries(primaries):
         words = ", ".join(f"{x:.4g}" for x in primaries)
         _tell(f"png: the colours' primaries are not sRGB's ({words}), and are not converted: a viewer shows other colours")

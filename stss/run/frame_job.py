@@ -166,7 +166,7 @@ class FrameJob:
             if (kind := self.already_written(number, key)) is not None:
                 return FrameReport(number, kind, "kept")
             window = self.window.up_to(number, keep_going=self.options.keep_going)
-            return _Job(key, window, self.window.attributes(number))
+            return _Job(key, window, self.window.attributes(window))
         except InputError as error:
             if not self.options.keep_going:
                 raise

@@ -14,6 +14,7 @@ from stss.frames.output import shot_start
 from stss.images.color import Transfer
 from stss.images.headers import Value
 from stss.run.options import RunOptions
+from stss.sequence.raw_frame import OF_COLOR
 from stss.sequence.reader import Sequence
 from stss_ground.errors import InputError
 from stss_ground.output.folder import digest_of
@@ -46,9 +47,13 @@ class Window:
                 window.clear()
         return window
 
-    def attributes(self, number: int) -> Mapping[str, Value]:
-        """The metadata of a frame's files that are copied to its output."""
-        return self._sequence.frames[number].attributes
+    def attributes(self, window: Numbers[DisplayFrame]) -> Mapping[str, Value]:
+        """The metadata that are copied to the output of ``window``: the frame's own, and of its colour those of the colour's frame."""
+        own = self._sequence.frames[window[-1].number].attributes
+        colored = next((frame.number for frame in reversed(window) if frame.color is not None), None)
+        of_color = {} if colored is None else self._sequence.frames[colored].attributes
+        kept = {name: value for name, value in own.items() if name not in OF_COLOR}
+        return kept | {name: value for name, value in of_color.items() if name in OF_COLOR}
 
     def _load(self, number: int) -> DisplayFrame | InputError:
         if number not in self._frames:

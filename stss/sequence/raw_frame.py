@@ -25,17 +25,16 @@ UNIT_RANGE = ("base_color", "roughness", "metallic")
 FINITE = ("color", "normal", "stencil", "nov", *UNIT_RANGE)
 """Buffers that must be finite. In motion, depth and position a non-finite value has a meaning: off screen, nothing hit, a hole."""
 
+OF_COLOR = ("adoptedNeutral", "chromaticities", "oiio:ColorSpace", "whiteLuminance")
+"""Metadata that say what the numbers of a colour mean; a G-buffer's files may lack them, or have others."""
 CARRIED = (
     "framesPerSecond",
     "FramesPerSecond",
     "PixelAspectRatio",
-    "adoptedNeutral",
-    "chromaticities",
-    "whiteLuminance",
-    "oiio:ColorSpace",
     "smpte:TimeCode",
     "worldToCamera",
     "worldToNDC",
+    *OF_COLOR,
 )
 """Metadata that outputs copy from the frame's files, by OpenImageIO's names. OpenEXR's rate has a small f, that of some writers a
 capital."""

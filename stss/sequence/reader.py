@@ -481,9 +481,9 @@ def _frame_of(
         where = cameras[number]
     else:
         raise InputError(f"{table}: no line for frame {number}")
-    attributes = {
-        name: value for header in tuple(headers.values())[::-1] for name, value in header.attributes.items() if name in CARRIED
-    }
+    of_color = None if "color" not in sources else sources["color"].path
+    last_wins = sorted(headers.values(), key=lambda header: header.path == of_color)
+    attributes = {name: value for header in last_wins for name, value in header.attributes.items() if name in CARRIED}
     windows = {header.path: header.windows for header in headers.values()}
     data = {buffer: windows[source.path][source.names[0]] for buffer, source in sources.items()}
     return RawFrame(files, sources, where, attributes, data)

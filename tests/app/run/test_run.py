@@ -271,6 +271,25 @@ def linear_frames(write_frames, **metadata):
     return folder
 
 
+WIDE = 0.708, 0.292, 0.17, 0.797, 0.131, 0.046, 0.3127, 0.329
+"""Primaries of Rec. 2020."""
+
+
+def test_an_output_is_tagged_as_the_colour_that_it_shows(write_frames, tmp_path):
+    """Utility passes come without primaries, or with others: the film would change its colours at every second frame."""
+    folder = write_frames(range(4), rendered=(1, 3))
+    of_colour = {"chromaticities": WIDE, "adoptedNeutral": (0.25, 0.375), "PixelAspectRatio": 3.0}
+    for number, path in enumerate(sorted(folder.glob("*.exr"))):
+        give_metadata(path, of_colour if number % 2 else {"whiteLuminance": 80.0, "PixelAspectRatio": 2.0})
+    result = call("run", folder, "-o", tmp_path / "png", *PLAIN, "--format", "png")
+    assert "png: the colours' primaries are not sRGB's (0.708, 0.292, " in result.stderr
+    assert call("run", folder, "-o", tmp_path / "out", *PLAIN).returncode == 0
+    attributes = [read_header(path).attributes for path in sorted((tmp_path / "out").glob("*.exr"))]
+    np.testing.assert_array_equal([each["chromaticities"] for each in attributes], np.float32([WIDE] * 3))
+    assert [each["PixelAspectRatio"] for each in attributes] == [3.0, 2.0, 3.0]
+    assert not any("whiteLuminance" in each for each in attributes)
+
+
 @pytest.mark.parametrize("name", ["film.mp4", "out/f.####.exr", "a.PNG"])
 def test_a_folder_is_not_named_like_a_file(write_frames, tmp_path, name):
     lr = write_frames([1, 2])
@@ -288,8 +307,7 @@ def test_a_folder_is_not_named_like_a_file(write_frames, tmp_path, name):
 
 def test_a_png_is_tagged_as_what_it_is(write_frames, tmp_path):
     """sRGB, for any colours of the input; the run says what a PNG lacks."""
-    wide = 0.708, 0.292, 0.17, 0.797, 0.131, 0.046, 0.3127, 0.329
-    folder = linear_frames(write_frames, chromaticities=wide)
+    folder = linear_frames(write_frames, chromaticities=WIDE)
     result = call("run", folder, "-o", tmp_path / "out", *PLAIN, "--format", "png", "--also", "basecolor")
     assert result.returncode == 0, result.stderr
     assert "png: without A, basecolor.R, basecolor.G, basecolor.B; --format exr has them" in result.stderr

@@ -10,10 +10,10 @@ import pytest
 from stss.images.headers import read_header
 from stss.images.read_write import read_channels, write_channels
 from stss.sequence.conventions import BACKGROUND_POSITION
-from stss.sequence.profiles import load_profile
+from stss.sequence.profiles import BUFFERS, load_profile
 from stss.sequence.reader import open_sequence
 from stss_ground.errors import InputError
-from tests.app.conftest import write_parts
+from tests.app.conftest import frame_channels, write_parts
 
 
 def test_frames_are_found_and_read_as_written(write_frames):
@@ -42,6 +42,17 @@ def test_frames_are_found_and_read_as_written(write_frames):
             ask(5)
     with pytest.raises(InputError, match=r"expected a folder, or a pattern like .*; found nothing"):
         open_sequence(folder / "no", "stss")
+
+
+def test_of_several_files_that_of_the_colour_says_what_colours_mean(tmp_path):
+    """Whatever the order of the files' names: other passes are tagged as their program likes."""
+    names = [name for name in frame_channels(0) if name not in "RGB"]
+    for ending, own, rate in (("_a", names, 24.0), ("_z", [*"RGB"], 25.0)):
+        pixels = np.stack([np.float32(frame_channels(0)[name]) for name in own], axis=-1)
+        write_parts(tmp_path / f"x{ending}.0000.exr", (pixels, own, {"whiteLuminance": ("float", rate)}))
+    files = dict.fromkeys((buffer for buffer in BUFFERS if buffer != "color"), "_a") | {"color": "_z"}
+    frame = open_sequence(tmp_path, load_profile("stss", files=files)).frames[0]
+    assert frame.attributes["whiteLuminance"] == 25
 
 
 def test_frames_that_are_kept_are_those_that_were_asked_for(write_frames):
