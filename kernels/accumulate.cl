@@ -7,11 +7,12 @@
 //  older     in   (2H, 2W, 3)  of the one before that; not read if count is 1
 //  to_newer  in   (H, W, 2)    px, current -> newer; non-finite is off screen
 //  to_older  in   (H, W, 2)    px, current -> older; not read if count is 1
-//  shown     out  (2H, 2W, 3)  NEWER and OLDER of the earlier images where motion leads into them, else of image
+//  shown     out  (2H, 2W, 3)  the shares of the earlier images where motion leads into them, else of image
 //
-// Build -D NEWER -D OLDER, shares.  Launch (W, H) rounded up: a work-item makes the 2 x 2 display pixels of a pixel, which share its motion.
-#if !defined NEWER || !defined OLDER
-#error "accumulate.cl needs -D NEWER -D OLDER"
+// Build -D NEWER_SHARE -D OLDER_SHARE.  Launch (W, H) rounded up: a work-item makes the 2 x 2 display pixels of a pixel,
+// which share its motion.
+#if !defined NEWER_SHARE || !defined OLDER_SHARE
+#error "accumulate.cl needs -D NEWER_SHARE -D OLDER_SHARE"
 #endif
 #include "sample.clh"
 
@@ -149,12 +150,12 @@ kernel void accumulate(global const float *restrict image, global const float *r
     const Boxes boxes =
         inner ? boxes_of(image, x, y, rows, columns, true) : boxes_of(image, x, y, rows, columns, false);
     Apart off = apart_where_inside(newer, to_newer[pixel], x, y, boxes, rows, columns);
-    off.top *= NEWER;
-    off.bottom *= NEWER;
+    off.top *= NEWER_SHARE;
+    off.bottom *= NEWER_SHARE;
     if (count > 1) {
         const Apart more = apart_where_inside(older, to_older[pixel], x, y, boxes, rows, columns);
-        off.top += more.top * OLDER;
-        off.bottom += more.bottom * OLDER;
+        off.top += more.top * OLDER_SHARE;
+        off.bottom += more.bottom * OLDER_SHARE;
     }
     global float *restrict out = shown + (y * columns + x) * 3;
     write_two(out, boxes.top.here + off.top);

@@ -25,8 +25,8 @@
 //
 // R, C = rows, columns = H, W rounded up to multiples of 8, filled by repeating the last row and column. Pixel (y, x)
 // of history and x0 is at (y + 1, x + 1); no kernel writes their border of zeros.
-// history, x0 and color3 may be a strip of the frame: R rows whose row 0 is the frame's row `top`; mask and keys cover
-// the whole frame.
+// history, x0 and color3 may be a strip of the frame: R rows whose row 0 is the frame's row `top`; mask and splat
+// cover the whole frame.
 // Build -D of holes.cl, optionally
 //  -D STORED        the type of history and x0
 //  -D STREAM        see common.clh

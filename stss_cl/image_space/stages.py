@@ -39,7 +39,9 @@ def program(device: Device, file: str, options: Mapping[str, object] | None = No
 def accumulate_program(device: Device) -> Program:
     """The program of stage ``accumulate``."""
     return program(
-        device, "accumulate.cl", {name: f"{share}f" for name, share in zip(("NEWER", "OLDER"), EARLIER_SHARES, strict=True)}
+        device,
+        "accumulate.cl",
+        {name: f"{share}f" for name, share in zip(("NEWER_SHARE", "OLDER_SHARE"), EARLIER_SHARES, strict=True)},
     )
 
 
