@@ -49,3 +49,8 @@ def __getattr__(name: str) -> Any:
 
     room, there = _HOMES[name]
     return getattr(import_module(room), there)
+
+
+def __dir__() -> list[str]:
+    """List them too, so that a shell completes them."""
+    return sorted({*globals(), *__all__})

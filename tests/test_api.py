@@ -23,6 +23,7 @@ def test_the_page_has_what_a_package_hands_on(package):
     module = importlib.import_module(package)
     assert sorted(names(package)) == sorted(module.__all__)
     assert not [name for name in names(package) if not hasattr(module, name)]
+    assert {*names(package)} <= {*dir(module)}, "a shell completes what dir lists"
 
 
 def test_the_page_has_every_stage_and_no_function_that_is_not_there():

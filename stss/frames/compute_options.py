@@ -25,7 +25,7 @@ class ComputeOptions:
             for aliased input.
 
     Raises:
-        InputError: ``precision`` or ``skip`` is none of these, or the limit is no number of bytes.
+        InputError: ``precision`` or ``skip`` is none of these, the limit no number of bytes, or ``accumulate`` neither True nor False.
     """
 
     device: str | None = None
@@ -40,6 +40,8 @@ class ComputeOptions:
             require_choice(name, value, choices)
         if self.device is not None:
             require_kind("device", self.device, str, "part of a device's name, or None")
+        if self.accumulate is not None:
+            require_kind("accumulate", self.accumulate, (bool, np.bool_), "True, False or None")
         if self.memory_limit is not None:
             require_kind("memory_limit", self.memory_limit, (int, np.integer), "a number of bytes, or None")
         if self.memory_limit is not None and self.memory_limit < 1:

@@ -73,6 +73,8 @@ class Supersampler:
             DeviceError: there is no such device.
         """
         require_choice("depth", depth, get_args(DepthMode))
+        for name, value in (("copy", copy), ("check", check)):  # a word such as "no" would count as True
+            require_kind(name, value, (bool, np.bool_), "True or False")
         self._curve, self._copy, self._check = transfer_named(transfer), copy, check
         self._depth: DepthMode = depth
         if isinstance(backend, str):

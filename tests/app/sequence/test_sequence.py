@@ -44,13 +44,14 @@ def test_frames_are_found_and_read_as_written(write_frames):
         open_sequence(folder / "no", "stss")
 
 
-def test_of_several_files_that_of_the_colour_says_what_colours_mean(tmp_path):
+@pytest.mark.parametrize(("colour", "others"), ["ab", "ba"])
+def test_of_several_files_that_of_the_colour_says_what_colours_mean(tmp_path, colour, others):
     """Whatever the order of the files' names: other passes are tagged as their program likes."""
     names = [name for name in frame_channels(0) if name not in "RGB"]
-    for ending, own, rate in (("_a", names, 24.0), ("_z", [*"RGB"], 25.0)):
+    for ending, own, rate in ((others, names, 24.0), (colour, [*"RGB"], 25.0)):
         pixels = np.stack([np.float32(frame_channels(0)[name]) for name in own], axis=-1)
-        write_parts(tmp_path / f"x{ending}.0000.exr", (pixels, own, {"whiteLuminance": ("float", rate)}))
-    files = dict.fromkeys((buffer for buffer in BUFFERS if buffer != "color"), "_a") | {"color": "_z"}
+        write_parts(tmp_path / f"x_{ending}.0000.exr", (pixels, own, {"whiteLuminance": ("float", rate)}))
+    files = dict.fromkeys((buffer for buffer in BUFFERS if buffer != "color"), f"_{others}") | {"color": f"_{colour}"}
     frame = open_sequence(tmp_path, load_profile("stss", files=files)).frames[0]
     assert frame.attributes["whiteLuminance"] == 25
 
