@@ -61,7 +61,7 @@ def show_progress(
 
     bar = _bar(console, unit)
     # Older versions of Rich end a bar that is disabled with an empty line.
-    with bar if console.is_terminal else nullcontext():
+    with bar if console.is_interactive else nullcontext():
         task = bar.add_task(text, total=total)
 
         def advance(text: str = "", *, done: int = 1) -> None:
@@ -69,7 +69,7 @@ def show_progress(
             count, label = count + done, text
             bar.update(task, advance=done, description=text)
 
-        lines = None if console.is_terminal else Thread(target=report, daemon=True)
+        lines = None if console.is_interactive else Thread(target=report, daemon=True)
         if lines:
             lines.start()
         try:

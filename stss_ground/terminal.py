@@ -47,7 +47,9 @@ class Terminal(Console):
 
     def __init__(self, **how: Any):
         super().__init__(**how)
-        if not self.is_terminal and "COLUMNS" not in os.environ:
+        is_screen = self.file.isatty()  # FORCE_COLOR makes a terminal of a log, too
+        self.is_interactive &= is_screen
+        if not is_screen and "COLUMNS" not in os.environ:
             self.width = WIDE
         elif self.width < 1:  # COLUMNS=0, as shells without a terminal set it; rich would print nothing
             self.width = shutil.get_terminal_size((WIDE, 1)).columns

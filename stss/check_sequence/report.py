@@ -124,7 +124,10 @@ def check(
         sequence.keeps = KEPT_BYTES
         numbers = [n for n in sequence.numbers if frames is None or frames[0] <= n <= frames[1]]
         if not numbers:
-            raise InputError(f"{sequence_path}: no frames from {frames}; it has {all_numbers[0]} to {all_numbers[-1]}")
+            first, last = frames or (0, 0)
+            raise InputError(
+                f"--frames {first}:{last}: expected frames of {sequence_path}, {all_numbers[0]} to {all_numbers[-1]}"
+            )
         findings += broken_frames(sequence, numbers)
         numbers = [n for n in numbers if sequence.frames[n].fault is None]
         if not numbers:

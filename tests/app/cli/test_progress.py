@@ -17,6 +17,7 @@ from stss.cli.main import stss as command
 from stss_ground import progress
 from stss_ground.errors import InputError
 from stss_ground.progress import show_progress, show_steps
+from stss_ground.terminal import Terminal
 from stss_lab.bench import gpu_report
 from stss_lab.stress import measure
 from tests.app.conftest import PLAIN
@@ -50,6 +51,17 @@ def test_a_log_file_gets_a_line_a_minute_even_while_nothing_is_done(monkeypatch)
     assert len(set(lines)) == len(lines)
     time.sleep(0.05)
     assert lines_of(console) == lines
+
+
+def test_a_log_in_colour_has_no_bar(monkeypatch):
+    """FORCE_COLOR, which services for CI set: a bar is drawn ten times a second, and a log keeps all of them."""
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.delenv("COLUMNS", raising=False)
+    console = Terminal(file=io.StringIO())
+    with show_progress(console, 10) as advance:
+        advance(done=10)
+    console.print("[red]x[/]" + 150 * "y")
+    assert re.fullmatch(r"\x1b\[31mx\x1b\[0my{150}\n", console.file.getvalue())
 
 
 def test_a_log_file_says_soon_what_a_command_waits_for(monkeypatch):
@@ -101,6 +113,8 @@ def test_every_long_command_has_a_bar_with_the_time_left(folder, tmp_path, monke
         shutil.copytree(folder / name, tmp_path / name)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("FORCE_COLOR", "1")
+    always = property(lambda self: True, lambda self, value: None)
+    monkeypatch.setattr(Terminal, "is_interactive", always, raising=False)
     monkeypatch.setattr(gpu_report, "steps", lambda *_, **__: [gpu_report.Step("absent", None, 0, "not here")])
     process = call(*command.split())
     assert process.returncode in (0, 1), process.stderr
