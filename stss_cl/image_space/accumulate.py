@@ -12,7 +12,7 @@ from stss_cl.device.buffers import Outgoing, Plain, incoming
 from stss_cl.device.discovery import Device
 from stss_cl.device.grid import grid
 from stss_cl.device.launch import Kernel
-from stss_cl.image_space.stages import accumulate_program, chain_program
+from stss_cl.image_space.stages import accumulate_program, program
 from stss_ref.arrays import ArrayError, require_dtype, require_shape
 from stss_ref.constants import EARLIER_SHARES
 
@@ -22,7 +22,7 @@ class Accumulate:
 
     def __init__(self, device: Device):
         self._device = device
-        self._chain = Kernel(chain_program(device), "motion_of_two")
+        self._chain = Kernel(program(device, "motion_chain.cl"), "motion_of_two")
         self._kernel = Kernel(accumulate_program(device), "accumulate")
 
     def __call__(self, image: Plain, earlier: Sequence[Plain], motions: Sequence[Plain]) -> Plain:

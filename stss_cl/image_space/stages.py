@@ -45,11 +45,6 @@ def accumulate_program(device: Device) -> Program:
     )
 
 
-def chain_program(device: Device) -> Program:
-    """The program of stage ``motion_chain``."""
-    return program(device, "motion_chain.cl")
-
-
 class ImageStages:
     """The image-space stages on one device."""
 
@@ -126,7 +121,9 @@ def _motion_chain(stages: ImageStages, inputs: Inputs) -> Outputs:
     k, height, width, _ = motions.shape
     size = height, width
     motion = stages.buffer(size, 2)
-    stages.launch(chain_program(stages.device), "motion_chain", size, motions=stages.upload(motions), motion=motion, k=k)
+    stages.launch(
+        program(stages.device, "motion_chain.cl"), "motion_chain", size, motions=stages.upload(motions), motion=motion, k=k
+    )
     return {"motion": stages.download(motion, (*size, 2))}
 
 

@@ -15,8 +15,6 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from hypothesis import Phase
-from hypothesis import strategies as st
 
 from conformance import OLDEST_HYPOTHESIS
 from conformance.answers.expected import Expected, largest
@@ -24,7 +22,6 @@ from conformance.answers.network import expect_layers
 from conformance.answers.port_arithmetic import Arithmetic
 from conformance.judging.findings import DepartureError
 from conformance.judging.judge import TIERS, Judge, Tier, agreement
-from conformance.judging.search import draw_cases
 from conformance.protocol import write_job
 from conformance.protocol.layers import LAYERS_OF
 from conformance.protocol.load_port import load_port
@@ -336,20 +333,6 @@ def test_seeds_differ_and_repeat():
         return [result.record.worst for result in results]
 
     assert worst(1) == worst(1) != worst(2)
-
-
-def test_cases_do_not_depend_on_other_imports(tmp_path, monkeypatch):
-    """Hypothesis draws constants of modules that are no installed packages; those of a network too, by the same `draw_cases`."""
-    (tmp_path / "of_a_user.py").write_text("".join(f"N{n} = {n}\n" for n in range(1000, 1100)))
-    monkeypatch.syspath_prepend(tmp_path)
-
-    def drawn():
-        cases = []
-        draw_cases(st.integers(0, 2**16), cases.append, 100, 0, [Phase.generate])
-        return cases
-
-    before, _ = drawn(), importlib.import_module("of_a_user")
-    assert drawn() == before
 
 
 def test_the_nearest_right_answer_counts():

@@ -413,16 +413,10 @@ def test_an_output_may_be_without_a_shape(tmp_path):
     assert judge_port(model, NumpyPort(model), F32).passes
 
 
-@pytest.mark.parametrize(
-    ("words", "words_of"),
-    [
-        (["--port", "onnxruntime"], "not an ONNX model"), (["--port", "nowhere:port"], "not an ONNX model"),
-    ],
-)  # fmt: skip
-def test_bad_files_are_one_line(words, words_of, tmp_path):
+def test_a_bad_file_is_one_line(tmp_path):
     (tmp_path / "bad.onnx").write_bytes(b"\x08\x01\x12junk")
-    outcome = CliRunner().invoke(conform, ["--onnx", str(tmp_path / "bad.onnx"), *words])
-    assert words_of in str(outcome.exception)
+    outcome = CliRunner().invoke(conform, ["--onnx", str(tmp_path / "bad.onnx"), "--port", "onnxruntime"])
+    assert "not an ONNX model" in str(outcome.exception)
     assert "\n" not in str(outcome.exception)
 
 

@@ -144,14 +144,6 @@ class TestMotionChain:
         earlier = np.array([[[1.0, 0], [2, 0]], [[4, 0], [8, 0]]])
         assert motion_chain(np.stack([constant((2, 2), 0.5, 0.25), earlier]), "bilinear")[0, 0, 0] == 0.5 + 1.5 + (6 - 1.5) / 4
 
-    @pytest.mark.parametrize(("gather", "expected"), [("nearest", 2.0 + 0.75), ("bilinear", 1.75 + 0.75)])
-    def test_other_gathers(self, gather, expected):
-        earlier = np.zeros((1, 3, 2))
-        earlier[0, :, 0] = (1, 2, 3)
-        first = np.zeros((1, 3, 2))
-        first[0, 0, 0] = 0.75
-        assert motion_chain(np.stack([first, earlier]), gather)[0, 0, 0] == expected
-
 
 def hole_inputs(size=(4, 4), **changed):
     inputs = {
