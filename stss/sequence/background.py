@@ -16,7 +16,10 @@ MotionSource = Literal["files", "camera"]
 MOTION_SOURCES: tuple[MotionSource, ...] = get_args(MotionSource)
 """The sources of the motion of what does not move itself."""
 LOOSE = 0.25
-"""Pixels: if no projection fits positions better than this, they do not give the camera."""
+"""Pixels: if no projection fits positions better than this, they do not judge motion."""
+WITHIN = 0.5
+"""Pixels: if no projection fits positions better than this, they do not give the camera. Samples anywhere in their pixels are off by 0.4 in
+the median, and determine the camera as well."""
 
 
 def static_surfaces(frame: Buffers) -> Mask:
@@ -32,7 +35,7 @@ def static_surfaces(frame: Buffers) -> Mask:
 def projection_of(frame: Buffers) -> Projection | None:
     """The camera's projection, by the positions of static geometry; None where they do not determine it in all directions."""
     projection = solve_projection(frame.position, static_surfaces(frame))
-    return None if projection is None or projection.residual > LOOSE or len(projection.axes) < 3 else projection
+    return None if projection is None or projection.residual > WITHIN or len(projection.axes) < 3 else projection
 
 
 def projection_of_table(far: Array, place: Array, display: PixelWindow, canvas: PixelWindow) -> Projection:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from conformance.scenes import SCENES, render
+from conformance.scenes.render import look
 from stss.check_sequence.report import check
 from stss.demo import demo_path, frame_channels
 from stss.images.headers import read_header
@@ -189,6 +190,26 @@ def test_the_camera_gives_static_geometry_its_motion(tmp_path, scene, table):
             assert np.abs(a - b).max() < RIGHT
         else:
             assert not b[rest].any()
+
+
+def test_positions_may_be_sampled_anywhere_in_their_pixels(tmp_path):
+    """As by a path tracer's only sample. The camera is as certain, and motion is that of the sample."""
+    folder, random, right = write_without_motion(tmp_path / "in", "pan"), np.random.default_rng(1), {}
+    for number in range(FRAMES):
+        y, x = np.mgrid[: SIZE[0], : SIZE[1]] + random.uniform(-0.5, 0.5, (2, *SIZE))
+        seen = look(SCENES["pan"], number, x.ravel(), y.ravel(), SIZE)
+        planes = read_channels(path := demo_path(folder, number), read_header(demo_path(folder, number)).channels)
+        hit = np.isfinite(seen.depth).reshape(SIZE)
+        planes["depth.Z"] = np.where(hit, seen.depth.reshape(SIZE), 1e9)
+        for i, c in enumerate("XYZ"):
+            planes[f"position.{c}"] = np.where(hit, seen.position[:, i].reshape(SIZE), 0)
+            planes[f"normal.{c}"] = np.where(hit, seen.normal[:, i].reshape(SIZE), 0)
+        write_channels(path, {name: plane.astype(np.float32) for name, plane in planes.items()})
+        right[number] = seen.motion.reshape(*SIZE, 2), hit
+    still = open_sequence(folder, "stss", static="camera")
+    for number in range(1, FRAMES):
+        motion, hit = right[number]
+        assert np.median(np.abs(still.load(number).motion - motion)[hit]) < RIGHT
 
 
 def test_what_moves_by_itself_keeps_the_motion_of_its_files(tmp_path):
