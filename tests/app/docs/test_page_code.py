@@ -23,6 +23,7 @@ from stss.frames.accumulation import Accumulation, accumulate_arrays
 from stss.frames.display_frame import make_display_frame
 from stss.images.color import transfer
 from stss.images.headers import MAX_BYTES, MAX_CHANNELS, MAX_SIDE
+from stss.images.read_write import write_channels
 from stss.sequence.conventions import linear_depth, motion_in_pixels, world_normal
 from stss.sequence.profiles import BUFFERS, DepthRule, profile_names
 from stss_ground.errors import InputError
@@ -446,13 +447,39 @@ def loaded(text):
 
 def test_the_profile_of_the_page_is_that_of_the_engines_page():
     """One engine's conventions as a file and as a call."""
-    file = loaded(re.search(r"```toml\n(base.*?)```", page("profiles.md"), re.S)[1])
+    section = page("profiles.md").split("## A profile of your own")[1]
+    file = loaded(re.search(r"```toml\n(base.*?)```", section, re.S)[1])
     assert file.channels["stencil"] == (("id.red",), ("ObjectId",))
     place = {}
     exec(re.search(r"import math\n\nimport stss\n\nrules = .*?\n\)", page("engines.md"), re.S)[0], place)
     own = place["rules"]
     assert replace(own, name=file.name, title=file.title, path=file.path, channels=file.channels) == file
     assert {n: file.channels[n] for n in own.channels if n not in ("normal", "stencil")}.items() <= own.channels.items()
+
+
+def test_the_profile_for_two_renders_of_mitsuba(tmp_path):
+    """The colour of a file of its own, not that of the AOVs' only sample; a frame without such a file was not rendered."""
+    own = loaded(re.search(r"```toml\n(base.*?)```", page("profiles.md").split("### `mitsuba`")[1], re.S)[1])
+    names = [
+        "normal.X",
+        "normal.Y",
+        "normal.Z",
+        "depth.T",
+        "nov.X",
+        "albedo.R",
+        "albedo.G",
+        "albedo.B",
+        "position.X",
+        "position.Y",
+    ]
+    for number in (1, 2):
+        planes = dict.fromkeys(["R", "G", "B", *names, "position.Z"], np.ones((4, 6), np.float32))
+        write_channels(tmp_path / f"shot.{number:04d}.exr", planes)
+    write_channels(tmp_path / "shot_color.0002.exr", dict.fromkeys("RGB", np.full((4, 6), 0.5, np.float32)))
+    sequence = stss.open_sequence(tmp_path, own, roughness=0.5, metallic=0, static="camera")
+    assert sequence.rendered == {2}
+    assert (sequence.load(1, color=False).color, sequence.first.sources["normal"].path.name) == (None, "shot.0001.exr")
+    assert sequence.frames[2].sources["color"].path.name == "shot_color.0002.exr"
 
 
 def test_keys_of_a_profile():
