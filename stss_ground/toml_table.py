@@ -36,7 +36,7 @@ def read_toml(path: Path, error: Callable[[str], Exception]) -> Table:
         error: makes the exception to raise from a message, here and in the table's methods.
     """
     try:
-        text = read_regular(path, MAX_BYTES).decode("utf-8")
+        text = read_regular(path, MAX_BYTES).decode("utf-8-sig")  # as editors of Windows begin a file
         if any(line.count(".") > MAX_DOTS for line in text.splitlines()):
             raise error(f"{path}: cannot be read as TOML: expected at most {MAX_DOTS} dots in a line")
         return Table(path, "", error, tomllib.loads(text))

@@ -401,7 +401,7 @@ def open_sequence(
             if not keep_going:
                 raise
             frames[number] = RawFrame(tuple(files_by_number[number].values()), {}, None, fault=error)
-    if first is None:
+    if first is None or all(frame.fault for frame in frames.values()):
         raise next(frame.fault for frame in frames.values() if frame.fault)
     canvas = _canvas(path, first.display, frames.values())
     _require_buffers(path, table, frames, {*constants, *(["motion"] if static == "camera" else [])})

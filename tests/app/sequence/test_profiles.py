@@ -87,6 +87,12 @@ def test_many_missing_buffers_are_one_short_line(tmp_path, count):
     assert max(map(len, lines)) < 500
 
 
+def test_a_profile_from_windows_is_read(tmp_path):
+    """Its editors begin a text in UTF-8 with a mark, and end lines with two characters."""
+    (tmp_path / "mine.toml").write_bytes(b'\xef\xbb\xbfbase = "stss"\r\nunits_per_cm = 0.01\r\n')
+    assert load_profile(tmp_path / "mine.toml").units_per_cm == 0.01
+
+
 def test_a_profile_is_a_file_like_any_other(tmp_path):
     path = tmp_path / "mine.toml"
     path.write_text(toml("blender").replace('name = "blender"', 'name = "mine"').replace("0.01 ", "1 "), encoding="utf-8")

@@ -216,14 +216,16 @@ WIDE = "frame,x,y,z,ux,uy,uz,vx,vy,vz,wx,wy,wz"
         (f"{WIDE}\n1,0,0,0,1,0,0,0,1,0,1,1,0\n", "line 2: ux,.*,wz show no picture"),
         ("frame,x,y,z\n1,0,0,0\n1,0,0,0\n", "line 3: frame 1 appears twice"),
         ("frame,x,y,z\n2,0,0,0\n", "no line for frame 1"),
+        ("frame,x,y,z\n", "no line for frame 1"),
     ],
 )
 def test_camera_tables(write_frames, tmp_path, text, message):
     folder = write_frames([1])
     table = tmp_path / "camera.csv"
     table.write_text(text)
-    with pytest.raises(InputError, match=rf"camera\.csv: {message}"):
-        open_sequence(folder, "stss", camera=table)
+    for keep_going in (False, True):  # the second leaves out single frames, and not all
+        with pytest.raises(InputError, match=rf"camera\.csv: {message}"):
+            open_sequence(folder, "stss", camera=table, keep_going=keep_going)
 
 
 def test_one_file_a_buffer(tmp_path):
