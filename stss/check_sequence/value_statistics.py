@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from stss.check_sequence.motion_convention import ConventionVerdict
 from stss.frames.buffers import Buffers
 from stss.frames.check_buffers import ROUNDING
+from stss.frames.output import choose_rendered
 from stss.images.headers import read_header
 from stss.images.read_write import WHOLE
 from stss.sequence.profiles import BUFFERS
@@ -188,6 +189,7 @@ class Values:
         """Findings."""
         if not self._counts["pixels"]:
             return [("note", "no frame is complete, so no values were checked")]
+        self._leave_out_gbuffer_frames(sequence)
         return [
             *self._non_finite_lines(non_finite),
             *self._outside_lines(),
@@ -263,6 +265,12 @@ class Values:
                 text = "motion: 0 everywhere; expected only where neither camera nor objects move"
                 lines.append(("note", f"{text}; else {hint}" if hint else text))
         return lines + self._stencil_lines()
+
+    def _leave_out_gbuffer_frames(self, sequence: Sequence) -> None:
+        """Forget the colours that no run takes if all are black: such frames were rendered for their G-buffer alone."""
+        taken = choose_rendered(sequence.numbers, sequence.rendered, None) if sequence.rendered else frozenset[int]()
+        if not any(light for n, light in self._light.items() if n not in taken):
+            self._light = {n: light for n, light in self._light.items() if n in taken}
 
     def _black_lines(self) -> list[Line]:
         lines: list[Line] = []

@@ -252,6 +252,22 @@ def test_a_frame_that_a_farm_left_black_is_named(write_frames):
     ]
 
 
+@pytest.mark.parametrize(
+    ("black", "named"),
+    [((1, 3, 5), ""), ((1, 2, 3, 5), "frame 2"), ((0, 2, 4), "frames 0, 2, 4"), ((1, 4), "frames 1, 4")],
+)
+def test_frames_that_were_rendered_for_their_g_buffer_may_be_black(write_frames, black, named):
+    """Where no run takes their colour: it takes every second one, from the first on."""
+
+    def change(number, channels):
+        return channels | {name: 0 * channels[name] for name in "RGB"} if number in black else None
+
+    found = texts(check(write_frames(range(6), change=change, size=(16, 24)), SequenceOptions("stss")), "warning")
+    assert [line.partition("though")[0] for line in found if "black" in line] == (
+        [f"colour: black in {named}, "] if named else []
+    )
+
+
 @pytest.mark.parametrize(("pace", "level"), [(3, "warning"), (0, "note")])
 def test_an_object_that_moves_shows_that_motion_was_not_rendered(write_frames, pace, level):
     """As Cycles with motion blur: the Vector pass is 0, and the camera rests."""
