@@ -31,10 +31,10 @@ from stss_ground.machine import conditions
 from stss_ground.progress import show_steps
 from stss_ground.terminal import Terminal
 from stss_lab.bench.contender import Setup
-from stss_lab.bench.ours import truth as exact_image
 from stss_lab.bench.report import FORMAT, PACKAGES
-from stss_ref.arrays import Image
-from stss_ref.weights import Weights
+from stss_ref.arrays import Array, Image
+from stss_ref.frame import FrameInputs, frame
+from stss_ref.weights import Weights, astype
 
 CANONICAL = ("static", "interface", "object", "sky", "cut", "pan", "flythrough")
 """Names of the scenes, those with the least change first."""
@@ -184,10 +184,7 @@ def measure(setup: Setup, scene: str, settings: Sequence[ComputeOptions], count:
     """A point for every setting on a scene of ``count`` display frames."""
     size, device = (setup.height, setup.width), open_device(setup.device)
     frames = list(display_frames(SCENES[scene], size, count))
-    truths = {
-        n: (exact_image(frame_inputs(*window_and_steps(frames, n)), setup.weights), truth(SCENES[scene], size, n))
-        for n in range(count - JUDGED, count)
-    }
+    truths = {n: (_reference(frames, n, setup.weights), truth(SCENES[scene], size, n)) for n in range(count - JUDGED, count)}
     return [compare_setting(setting, setup.weights, device, frames, truths) for setting in settings]
 
 
@@ -197,6 +194,13 @@ def window_and_steps(frames: Sequence[DisplayFrame], number: int) -> tuple[Seque
     schedule = schedule_of(window)
     assert schedule is not None  # frame 0 is rendered
     return window, schedule.steps
+
+
+def _reference(frames: Sequence[DisplayFrame], number: int, weights: Weights) -> Image:
+    inputs = frame_inputs(*window_and_steps(frames, number))
+    arrays: dict[str, Array] = {name: value for name, value in vars(inputs).items() if name != "steps"}
+    exact = {name: value.astype(np.float64) for name, value in arrays.items()}
+    return frame(FrameInputs(**exact, steps=inputs.steps), astype(weights, np.float64))[0]
 
 
 def compare_setting(

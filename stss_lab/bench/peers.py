@@ -5,6 +5,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -158,6 +160,98 @@ class OpenVino(Peer):
         return self._request.get_tensor("image").data
 
 
+class Mnn(Peer):
+    """MNN on the CPU.
+
+    Args:
+        setup: weights, size and threads.
+        precision: ``high``, float32; ``normal`` and ``low`` are MNN's to choose.
+    """
+
+    def __init__(self, setup: Setup, *, precision: str = "high"):
+        super().__init__(setup)
+        self._mnn = mnn = require("MNN", "mnn")
+        # Not MNN.tools.mnnconvert: importing that runs pip, for a package that reports its use.
+        converter = require("_tools", "mnn")
+        with TemporaryDirectory() as folder:
+            graph, converted = Path(folder) / "network.onnx", Path(folder) / "network.mnn"
+            graph.write_bytes(_model(setup))
+            words = {"-f": "ONNX", "--modelFile": graph, "--MNNModel": converted, "--bizCode": "stss"}
+            converter.mnnconvert(["mnnconvert", *(str(word) for pair in words.items() for word in pair)])
+            if not converted.exists():
+                raise InputError("MNN: cannot convert the network")
+            self._interpreter = mnn.Interpreter(str(converted))
+        self._session = self._interpreter.createSession({"backend": "CPU", "numThread": setup.threads, "precision": precision})
+        self.details = {
+            **versions(("mnn",)),
+            "precision": precision,
+            "formulation": "gates merged, window as slices",
+            "threads": str(setup.threads),
+        }
+
+    def _tensor(self, array: Array) -> Any:
+        return self._mnn.Tensor(array.shape, self._mnn.Halide_Type_Float, array, self._mnn.Tensor_DimensionType_Caffe)
+
+    def _bind(self, inputs: dict[str, Array]) -> None:
+        self._inputs = inputs
+
+    def run(self) -> None:
+        """See `Contender`; inputs are copied each time, since a run overwrites them."""
+        for name, array in self._inputs.items():
+            self._interpreter.getSessionInput(self._session, name).copyFrom(self._tensor(array))
+        self._interpreter.runSession(self._session)
+
+    def _result(self) -> Array:
+        image = self._interpreter.getSessionOutput(self._session, "image")
+        array = np.zeros(image.getShape(), np.float32)
+        tensor = self._tensor(array)  # may lie in the array's memory, or in its own
+        image.copyToHostTensor(tensor)
+        return np.array(tensor.getNumpyData(), np.float32).reshape(array.shape)
+
+
+class ExecuTorch(Peer):
+    """ExecuTorch on the CPU, in float32: XNNPACK, and portable kernels where it has no operator.
+
+    Args:
+        setup: weights, size and threads.
+    """
+
+    def __init__(self, setup: Setup):
+        super().__init__(setup)
+        self._torch = torch = require("torch")
+        network = TorchNetwork(setup.weights, memory_format=torch.contiguous_format)  # XNNPACK's passes refuse channels_last
+
+        class Module(torch.nn.Module):
+            def forward(self, color: Any, gbuffer: Any, mask: Any, history: Any) -> Any:
+                return network(color, gbuffer, mask, history)
+
+        height, width = (-(-length // 8) * 8 for length in (setup.height, setup.width))
+        inputs = tuple(torch.zeros(n, c, height, width) for n, c in ((1, 6), (1, 9), (1, 1), (3, 4)))
+        lower = require("executorch.exir").to_edge_transform_and_lower
+        xnnpack = require("executorch.backends.xnnpack.partition.xnnpack_partitioner").XnnpackPartitioner()
+        with torch.no_grad():
+            program = lower(torch.export.export(Module(), inputs), partitioner=[xnnpack]).to_executorch()
+        require("executorch.extension.pybindings.portable_lib")._unsafe_reset_threadpool(setup.threads)  # noqa: SLF001
+        self._program = require("executorch.runtime").Runtime.get().load_program(program.buffer)
+        self._method = self._program.load_method("forward")
+        self.details = {
+            **versions(("executorch", "torch")),
+            "precision": "float32",
+            "formulation": "gates merged, window as slices",
+            "threads": str(setup.threads),
+        }
+
+    def _bind(self, inputs: dict[str, Array]) -> None:
+        self._inputs = [self._torch.from_numpy(array) for array in inputs.values()]
+
+    def run(self) -> None:
+        """See `Contender`."""
+        (self._image,) = self._method.execute(self._inputs)
+
+    def _result(self) -> Array:
+        return self._image.numpy()
+
+
 def _model(setup: Setup) -> bytes:
     return onnx_export.export(setup.weights, -(-setup.height // 8) * 8, -(-setup.width // 8) * 8).SerializeToString()
 
@@ -168,6 +262,8 @@ PEERS: dict[str, Callable[[Setup], Peer]] = {
     "onnxruntime": OnnxRuntime,
     "openvino": partial(OpenVino, float32=True),
     "openvino-default": partial(OpenVino, float32=False),
+    "mnn": Mnn,
+    "executorch": ExecuTorch,
     "pytorch-cuda": partial(PyTorch, cuda=True, half=True),
     "pytorch-cuda-compiled": partial(PyTorch, cuda=True, half=True, compiled=True),
     "pytorch-cuda-float32": partial(PyTorch, cuda=True),

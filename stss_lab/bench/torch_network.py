@@ -19,7 +19,7 @@ class TorchNetwork:
 
     Args:
         weights: the 92 tensors.
-        options: for the tensors, of ``torch.Tensor.to``: device, dtype.
+        options: for the tensors, of ``torch.Tensor.to``: device, dtype, memory format of weights (O, C, k, k): else ``channels_last``.
     """
 
     def __init__(self, weights: Weights, **options: Any):
@@ -29,8 +29,8 @@ class TorchNetwork:
         for name in [name for name in tensors if ".conv_feature." in name]:
             layer, kind = name.split(".conv_feature.")
             tensors[f"{layer}.{kind}"] = self._torch.cat([tensors[name], tensors[f"{layer}.conv_mask.0.{kind}"]])
-        layout = {"memory_format": self._torch.channels_last}
-        self._tensors = {n: t.to(**options, **(layout if t.ndim == 4 else {})) for n, t in tensors.items()}
+        layout = options.pop("memory_format", self._torch.channels_last)
+        self._tensors = {n: t.to(memory_format=layout, **options) if t.ndim == 4 else t.to(**options) for n, t in tensors.items()}
 
     def __call__(self, color: Any, gbuffer: Any, mask: Any, history: Any) -> Any:
         """Compute the image (1, 3, 2H, 2W) from color (1, 6, H, W), gbuffer (1, 9, H, W), mask (1, 1, H, W), history (3, 4, H, W)."""

@@ -14,6 +14,7 @@ from stss_ground.errors import InputError
 from stss_lab.stress import sweeps
 from stss_lab.stress.engines import Engine, OpenCLEngine, ReferenceEngine
 from stss_lab.stress.positions import positions
+from stss_lab.stress.subnormal import subnormal
 from stss_lab.stress.table import StressPlan, StressTable
 from stss_ref.weights import Weights
 
@@ -25,6 +26,7 @@ MEASUREMENTS: dict[str, Callable[[StressPlan], StressTable]] = {
     "depth": sweeps.depth,
     "overflow": sweeps.overflow,
     "positions": positions,
+    "subnormal": subnormal,
 }
 """Name of a table -> function that measures it, in the order of the report."""
 
