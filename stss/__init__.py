@@ -9,7 +9,7 @@ from stss_ground.optional import add_own_conformance
 
 if TYPE_CHECKING:
     from stss.check_sequence.frames import check_frames
-    from stss.frames import Buffers, Supersampler, open_backend
+    from stss.frames import Buffers, Supersampler, open_backend, supersample
     from stss.frames import check_buffers as check
     from stss.sequence import convert, load_profile, open_sequence
     from stss.weights import load as load_weights
@@ -24,6 +24,7 @@ __all__ = [
     "load_weights",
     "open_backend",
     "open_sequence",
+    "supersample",
 ]
 
 add_own_conformance()
@@ -38,6 +39,7 @@ _HOMES = {
     "load_weights": ("stss.weights", "load"),
     "open_backend": ("stss.frames", "open_backend"),
     "open_sequence": ("stss.sequence", "open_sequence"),
+    "supersample": ("stss.frames", "supersample"),
 }
 
 

@@ -5,6 +5,6 @@ from stss.frames.backends import open_backend
 from stss.frames.buffers import Buffers
 from stss.frames.check_buffers import check_buffers
 from stss.frames.output import Output
-from stss.frames.supersampler import Supersampler
+from stss.frames.supersampler import Supersampler, supersample
 
-__all__ = ["Buffers", "Output", "Supersampler", "check_buffers", "open_backend"]
+__all__ = ["Buffers", "Output", "Supersampler", "check_buffers", "open_backend", "supersample"]

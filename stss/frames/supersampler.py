@@ -155,3 +155,23 @@ class Supersampler:
     def __reduce__(self) -> NoReturn:
         """Refuse to be pickled or copied: a device and its buffers belong to one process."""
         raise InputError("Supersampler: cannot be pickled or copied; expected one for each process, opened there")
+
+
+def supersample(
+    frames: Iterable[Buffers], backend: Backend, *, transfer_name: str = "srgb", depth: DepthMode = "scale"
+) -> Iterator[Output]:
+    """Compute every display frame at twice its size, those that were not rendered too.
+
+    Args:
+        frames: display frames in order; ``color`` is None where a frame was not rendered.
+        backend: from `open_backend`.
+        transfer_name: as ``transfer`` of `Supersampler`.
+        depth: ``clip`` or ``scale`` (spec 0).
+
+    Returns:
+        An iterator with an `Output` for every frame, except for one with neither colour nor a rendered frame just before it.
+
+    Raises:
+        InputError: an option or a plane is wrong.
+    """
+    return Supersampler(backend=backend, transfer=transfer_name, depth=depth)(frames)

@@ -83,6 +83,8 @@ CALLS = {  # the call with a value -> the types of `WRONG` that it accepts
     "open_sequence profile": (lambda v: stss.open_sequence("no", v), ()),
     "open_sequence camera": (lambda v: stss.open_sequence("no", "stss", camera=v), ()),
     "open_sequence non_finite": (lambda v: stss.open_sequence("no", "stss", non_finite=v), ()),
+    "supersample": (lambda v: list(stss.supersample(v, stss.open_backend("ref", "bilinear"))), (list, dict)),
+    "supersample backend": (lambda v: list(stss.supersample([], v)), ()),
     "weights.check": (check_weights, ()),
 }
 CALLS |= {

@@ -189,6 +189,14 @@ def test_a_frame_is_shown_in_one_line():
     assert repr(engine().push(of)) == f"Output(0, SF, {SIZE[0] * 2, SIZE[1] * 2})"
 
 
+def test_supersample_is_the_loop_over_an_open_backend():
+    backend = stss.open_backend("ref", "bilinear")
+    outputs, looped = (
+        list(run(frames(3))) for run in (lambda f: stss.supersample(f, backend), stss.Supersampler(backend=backend))
+    )
+    assert [(a.image == b.image).all() for a, b in zip(outputs, looped, strict=True)] == [True] * 3
+
+
 def test_conventions_of_an_engine():
     """Motion in NDC with y up and positions in metres give the same as pixels and centimetres."""
     buffers = next(frames(1))
