@@ -24,6 +24,8 @@ MIN_STEPS = 500
 """Fewest such steps that allow a judgement."""
 ENCODED = 0.65
 """Steps of the colour's logarithm over those of the base colour's. Found: 0.87 to 0.98 in linear colours, 0.42 to 0.46 in encoded ones."""
+ENCODED_BASE = 1.4
+"""The same of base colours that are encoded. Found: 1.88 to 2.16; in linear ones at most 0.98, as above."""
 UNRELATED = 0.1
 """Steps of a colour that is not that of its base colours at all, such as black."""
 OTHERWISE = (
@@ -47,7 +49,7 @@ def alignment_lines(frames: Iterable[Buffers], *, linear: bool) -> list[Line]:
         return []
     if edges := _ratio_lines(ratios):
         return edges  # edges that are not its own say nothing of its light
-    return [] if linear and bright else _transfer_lines(np.concatenate(steps), linear=linear)  # a display shows nothing above 1
+    return _transfer_lines(np.concatenate(steps), linear=linear, bright=bright)
 
 
 def _ratio_lines(ratios: list[Array]) -> list[Line]:
@@ -59,12 +61,14 @@ def _ratio_lines(ratios: list[Array]) -> list[Line]:
     return [("warning", f"{text} (correlation {others[best]:.2f}, now {own:.2f})")]
 
 
-def _transfer_lines(steps: Array, *, linear: bool) -> list[Line]:
+def _transfer_lines(steps: Array, *, linear: bool, bright: bool) -> list[Line]:
     """On a flat surface light hardly changes: a linear colour changes as much as its base colour, an encoded one less."""
     if len(steps) < MIN_STEPS:
         return []
     slope = float(np.median(steps))
-    if slope < UNRELATED or (slope > ENCODED) == linear:
+    if linear and slope > ENCODED_BASE:
+        return [("warning", f"base_color: looks encoded for a display, beside the colours (power {slope:.2f}); expected linear")]
+    if slope < UNRELATED or (slope > ENCODED) == linear or (linear and bright):  # a display shows nothing above 1
         return []
     looks, expected = ("encoded for a display", "linear") if linear else ("linear", "display-referred")
     return [("warning", f"colour: looks {looks}, beside its base colours (power {slope:.2f}); the profile says {expected}")]

@@ -45,6 +45,6 @@ def check_frames(frames: Iterable[Buffers], *, linear: bool = True) -> list[Line
         values.add_buffers(frame)
     geometry = judge_static_geometry(pairs)
     lines = geometry.left_of(motion_lines(judge_motion(pairs), "its profile"))
-    lines += [*values.buffer_lines(), *geometry.lines()]
+    lines += [*values.buffer_lines(), *values.color_lines(linear=linear), *geometry.lines()]
     lines += [*nov_lines(row[0]), *alignment_lines(row, linear=linear)]
     return sorted(lines, key=lambda line: line[0] == "note")

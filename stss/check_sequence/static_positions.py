@@ -288,10 +288,11 @@ def _movers(places: NDArray[np.intp], apart: Array, size: tuple[int, int]) -> fl
 
 
 def _is_repeated(before: Buffers, now: Buffers) -> bool:
-    if not np.isfinite(now.depth).any():  # then nothing is seen, in both
-        return False
     with np.errstate(over="ignore", invalid="ignore"):
-        claims = np.nanmedian(np.linalg.norm(now.motion.astype(np.float64), axis=-1))
+        steps = np.linalg.norm(now.motion.astype(np.float64), axis=-1)
+    if not (np.isfinite(now.depth).any() and np.isfinite(steps).any()):  # then nothing is seen, in both, or nothing is claimed
+        return False
+    claims = np.median(steps[~np.isnan(steps)])
     same = (np.array_equal(getattr(before, of), getattr(now, of), equal_nan=True) for of in ("position", "normal", "base_color"))
     return bool(claims > MOVES) and all(same)
 

@@ -195,7 +195,7 @@ class Values:
             *self._outside_lines(),
             *self._geometry_lines(sequence),
             *self._position_lines(sequence),
-            *self._color_lines(sequence),
+            *self.color_lines(linear=sequence.profile.color_domain == "linear"),
         ]
 
     def _non_finite_lines(self, policy: NonFinite) -> list[Line]:
@@ -348,11 +348,12 @@ class Values:
             (level, f"position: {precision} precision, in steps of {step:.2g} cm; a pixel covers {footprint:.2g} cm of a surface")
         ]
 
-    def _color_lines(self, sequence: Sequence) -> list[Line]:
+    def color_lines(self, *, linear: bool) -> list[Line]:
+        """Findings about colours, which the profile says are ``linear`` or display-referred."""
         if "color" not in self._most:
             return []
-        most, linear = self._most["color"], sequence.profile.color_domain == "linear"
-        lines: list[Line] = [("note", f"colour: largest value {most:.4g}, {sequence.profile.color_domain}")]
+        most, domain = self._most["color"], "linear" if linear else "display"
+        lines: list[Line] = [("note", f"colour: largest value {most:.4g}, {domain}")]
         if not linear and most > 1:
             lines.append(("warning", f"colour: up to {most:.4g}; expected at most 1 of display-referred values"))
         if share := self._share("negative colours", "colour values"):

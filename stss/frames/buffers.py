@@ -23,7 +23,7 @@ class Buffers:
             NaN marks a pixel whose colour later frames must not trust.
         stencil: (H, W) object number; 0 = static geometry.
         nov: (H, W) dot of world normal and view vector.
-        base_color: (H, W, 3) in [0, 1].
+        base_color: (H, W, 3) in [0, 1], linear.
         roughness: (H, W) in [0, 1].
         metallic: (H, W) in [0, 1].
         cut: True for the first frame of a shot, which uses no earlier frame.

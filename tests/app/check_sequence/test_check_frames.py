@@ -77,6 +77,9 @@ MISTAKES = {
     "normal: rotated against positions": lambda f: replace(f, normal=f.normal @ TURN),
     "nov: ": lambda f: replace(f, nov=normal_dot_view(f.normal, f.position, np.zeros(3))),  # of a matrix from camera to world
     "background: its motion is 0": lambda f: replace(f, motion=np.where(np.isfinite(f.depth)[..., None], f.motion, 0)),
+    "base_color: looks encoded": lambda f: replace(f, base_color=f.base_color ** np.float32(1 / 2.2)),
+    "colour: 100% of the surfaces' values above 1": lambda f: replace(f, color=None if f.color is None else 100 * f.color),
+    "motion: 100.0% of the pixels move by more than the frame, or non-finite": lambda f: replace(f, motion=np.nan * f.motion),
     "colour: looks encoded": lambda f: f if f.color is None else replace(f, color=f.color.clip(0, 1) ** np.float32(1 / 2.2)),
 }
 
