@@ -28,7 +28,7 @@ class Convolution:
 
     @property
     def name(self) -> str:
-        """The divisor of the result: the layer's."""
+        """The layer's."""
         return self.layer.name
 
     @property

@@ -97,13 +97,10 @@ def map_bytes(height: int, width: int, images: int = 1) -> int:
     return images * (-(-height // 4) * 4) * (-(-width // 4) * 4) + 64
 
 
-def pad(
-    device: Device, height: int, width: int, channels: int, dtype: np.dtype[Any], images: int = 1, changes: bool = False
-) -> Padded:
-    """Allocate activations of zeros. ``changes``: with a change map, in which nothing is marked."""
+def pad(device: Device, height: int, width: int, channels: int, dtype: np.dtype[Any], images: int = 1) -> Padded:
+    """Allocate activations of zeros, without a change map."""
     data = make_zeros(device, padded_bytes(height, width, channels, dtype, images))
-    marks = make_zeros(device, map_bytes(height, width, images)) if changes else None
-    return Padded(data, height, width, channels, dtype, images, marks)
+    return Padded(data, height, width, channels, dtype, images)
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from stss_cl.device.buffers import constant
 from stss_cl.device.discovery import Device
 from stss_cl.device.grid import ceil_div, grid
 from stss_cl.device.launch import Kernel, Launch
-from stss_cl.device.program import Program, program_for
+from stss_cl.device.program import program_for
 
 SIDE = 4
 """Side of most tiles; pixels. Kernels and change maps count in it: it is no choice of tuning."""
@@ -101,9 +101,5 @@ def find_tiles(device: Device, tiling: Tiling, maps: Maps, to: TileList) -> Laun
     size, group = grid(device, ceil_div(tiling.columns, span), tiling.lines)
     if device.is_cpu:
         size, group = (ceil_div(tiling.columns, span), tiling.lines), (1, 1)
-    return Launch("tile_list", Kernel(finder(device), "tile_list", arguments), arguments, size, group)
-
-
-def finder(device: Device) -> Program:
-    """The program of the kernel of ``find_tiles``; built once."""
-    return program_for(device, "tile_list.cl", {"SPAN_PIXELS": PIXELS} if device.is_cpu else {})
+    program = program_for(device, "tile_list.cl", {"SPAN_PIXELS": PIXELS} if device.is_cpu else {})
+    return Launch("tile_list", Kernel(program, "tile_list", arguments), arguments, size, group)

@@ -40,7 +40,7 @@ class FrameCache:
     """The data kept of the last frame of a kind. SF and EF have separate caches, since their inputs differ at every silhouette."""
 
     def __init__(self, device: Device, layers: Layers):
-        self.layers, self.network = layers, PartialNetwork(layers)
+        self.layers, self.partial = layers, PartialNetwork(layers)
         self.prepare = preparation(device, layers)
         self.last: Last | None = None
         self._is_first = True
@@ -75,14 +75,15 @@ class FrameCache:
     def load(self) -> None:
         """Let the runtime load or compile all kernels that any frame needs."""
         self.prepare.load()
-        self.network.load()
+        self.layers.load()
+        self.partial.load()
 
     def execute(self, network: Part) -> None:
         """Run this part of the network."""
         if network == "changed":
-            self.network.run_changed(self.image.target(whole=False))
+            self.partial.run(self.image.target(whole=False))
         else:
-            self.network.run(self.image.target(whole=True))
+            self.layers.run(self.image.target(whole=True))
 
     def _mark(self, dirty: Tiles | None) -> None:
         """Mark the tiles of the inputs to compute: the ``dirty`` ones, or all for None."""

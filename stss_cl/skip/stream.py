@@ -234,7 +234,7 @@ class Stream:
         network = self.cost.network
         if self._latest is None or network != "changed":
             return np.full((rows, columns), network != "none", np.float32)
-        return self._latest.network.activity()[:rows, :columns]
+        return self._latest.partial.activity()[:rows, :columns]
 
     def _compute(
         self,

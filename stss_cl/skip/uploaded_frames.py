@@ -113,7 +113,9 @@ class UploadedFrames:
         frames = [each.frame for each in self._chain if each.frame is not None]
         self.forget()
         for frame in (*frames, *arriving):
-            refuse(bad, frame)
+            array = getattr(frame, bad)
+            if array is not None:
+                require_finite(bad, array.get() if isinstance(array, cla.Array) else array)
 
     def forget(self) -> None:
         """Forget all frames: the next one follows none."""
@@ -164,13 +166,6 @@ class UploadedFrames:
             self._drop(self._chain.popleft())
         self._chain.append(UploadedFrame(frame, self._count, planes, color, changed, recolored))
         self._count += 1
-
-
-def refuse(name: str, frame: DisplayFrame) -> None:
-    """Raise ArrayError with the place at which the plane ``name`` of a frame is not finite, if it is not."""
-    array = getattr(frame, name)
-    if array is not None:
-        require_finite(name, array.get() if isinstance(array, cla.Array) else array)
 
 
 def sources(frames: Sequence[UploadedFrame], steps: tuple[int, int, int]) -> Sources:

@@ -8,8 +8,9 @@ import pytest
 
 from conformance.tolerance import worst
 from stss_cl.device import matrix_units
-from stss_cl.device.buffers import constant, pad, read, write
+from stss_cl.device.buffers import constant, map_bytes, pad, read, write
 from stss_cl.device.discovery import open_device
+from stss_cl.device.parts import make_zeros
 from stss_cl.device.tuning import Direct, Local, Winograd, built_in, trial
 from stss_cl.network import conv_gpu
 from stss_cl.network import layer as layer_module
@@ -57,7 +58,7 @@ class Case:
         self.inputs = [pad(device, *inputs, n, dtype) for n in (self.a, self.b) if n]
         for buffer, first in zip(self.inputs, (0, self.a), strict=False):
             write(device, buffer, self.x[..., first : first + buffer.channels])
-        self.out = pad(device, *self.size, self.outputs, dtype, changes=True)
+        self.out = replace(pad(device, *self.size, self.outputs, dtype), changes=make_zeros(device, map_bytes(*self.size)))
 
     def layer(self, local, side=4):
         return self.by(replace(built_in(self.device), winograd=None, local=local), side)
