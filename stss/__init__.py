@@ -9,9 +9,13 @@ from stss_ground.optional import add_own_conformance
 
 if TYPE_CHECKING:
     from stss.check_sequence.frames import check_frames
-    from stss.frames import Buffers, Supersampler, open_backend, supersample
-    from stss.frames import check_buffers as check
-    from stss.sequence import convert, load_profile, open_sequence
+    from stss.frames.backends import open_backend
+    from stss.frames.buffers import Buffers
+    from stss.frames.check_buffers import check_buffers as check
+    from stss.frames.supersampler import Supersampler, supersample
+    from stss.sequence.conventions import convert
+    from stss.sequence.profiles import load_profile
+    from stss.sequence.reader import open_sequence
     from stss.weights import load as load_weights
 
 __all__ = [
@@ -30,16 +34,16 @@ __all__ = [
 add_own_conformance()
 
 _HOMES = {
-    "Buffers": ("stss.frames", "Buffers"),
-    "Supersampler": ("stss.frames", "Supersampler"),
-    "check": ("stss.frames", "check_buffers"),
+    "Buffers": ("stss.frames.buffers", "Buffers"),
+    "Supersampler": ("stss.frames.supersampler", "Supersampler"),
+    "check": ("stss.frames.check_buffers", "check_buffers"),
     "check_frames": ("stss.check_sequence.frames", "check_frames"),
-    "convert": ("stss.sequence", "convert"),
-    "load_profile": ("stss.sequence", "load_profile"),
+    "convert": ("stss.sequence.conventions", "convert"),
+    "load_profile": ("stss.sequence.profiles", "load_profile"),
     "load_weights": ("stss.weights", "load"),
-    "open_backend": ("stss.frames", "open_backend"),
-    "open_sequence": ("stss.sequence", "open_sequence"),
-    "supersample": ("stss.frames", "supersample"),
+    "open_backend": ("stss.frames.backends", "open_backend"),
+    "open_sequence": ("stss.sequence.reader", "open_sequence"),
+    "supersample": ("stss.frames.supersampler", "supersample"),
 }
 
 

@@ -14,7 +14,7 @@ from stss_ground.errors import InputError
 
 @dataclass(frozen=True)
 class ComputeOptions:
-    """The options that ``stss.frames.open_backend`` takes besides the weights.
+    """The options that ``stss.open_backend`` takes besides the weights.
 
     Attributes:
         device: part of an OpenCL device's name; None: ``$STSS_DEVICE``, or the fastest that passed its self-test.

@@ -21,7 +21,7 @@ from stss.devices import selftest, verdicts
 from stss.devices.selection import choose
 from stss.devices.trial import EVERY
 from stss.devices.verdicts import Verdict, find_verdict, run_selftest, verdict
-from stss.frames import open_backend
+from stss.frames.backends import open_backend
 from stss.weights.file import REALTIME
 from stss_cl.device import amx, caches, program
 from stss_cl.device import discovery as cl_device
