@@ -207,17 +207,6 @@ def test_blocks_run_as_they_stand(name, device, demo, tmp_path, monkeypatch):
         assert after(scope) in (None, True), block
 
 
-def test_a_block_that_is_wrong_would_be_found(device, demo, tmp_path, monkeypatch):
-    """The page once said this, and each profile refused it; a table keeps the entries that a change does not name, if its kind has them."""
-    block = next(block for name, block in CODE if name == "docs/engines.md")
-    wrong = block.replace('"reversed": True', '"reversed": False')
-    assert wrong != block
-    scope = {}
-    exec(wrong, scope)
-    with pytest.raises(AssertionError):
-        of_engines(device, demo, tmp_path)[1](scope)
-
-
 @pytest.mark.parametrize("name", profile_names())
 def test_depth_of_any_kind_on_any_profile(name):
     device = stss.load_profile(name, depth={"kind": "device", "near": 0.1, "far": math.inf, "reversed": True}).depth
@@ -280,7 +269,7 @@ CELLS = {
     "loop.warm_up((H, W))": warm,
     "warm_up((H, W))": warm,
     'stss.Supersampler("realtime").warm_up((540, 960))': warm,  # of other weights and size here; engines.md's block has these
-    "Supersampler(accumulate=True)": mixed,
+    "accumulate=True": mixed,
     "Supersampler(accumulate=False)": unmixed,
     "memory_limit=": lambda: loop(memory_limit=1 << 30).push(buffers(0)) is not None,
     "tell=": None,  # tests/app/frames/test_backends.py

@@ -16,13 +16,10 @@ from stss.images.read_write import write_channels
 from stss.sequence.conventions import motion_in_pixels
 from stss.sequence.profiles import load_profile
 from stss.weights.file import SHIPPED
+from tests.app.docs.test_page_code import PAGES, ROOT
 from tests.hostile.cases import call
 from tests.tiers import thorough
 
-ROOT = Path(__file__).parents[3]
-PAGES = [
-    path for path in sorted(ROOT.rglob("*.md")) if not {".venv", ".venv-blender", ".venv-lowest", "node_modules"} & {*path.parts}
-]
 BLOCK = re.compile(r"^( *)```(?:sh|bash)\n(.*?)^ *```", re.M | re.S)
 CELL = re.compile(r"`(stss [a-z][^`]*)`")
 NOT_RUN = {
@@ -182,12 +179,6 @@ def check_words(page, line):
         pass
     except click.ClickException as error:
         pytest.fail(f"{page}: {line}: {error.format_message()}")
-
-
-@pytest.mark.parametrize("line", ["run a -o b --nothing", "nothing", "run a", "run a -o b --skip off|exact"])
-def test_a_wrong_command_would_be_found(line):
-    with pytest.raises(click.ClickException):
-        parse(line.split())
 
 
 def test_every_reason_is_needed():

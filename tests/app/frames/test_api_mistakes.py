@@ -227,12 +227,6 @@ def test_the_plane_that_is_wrong_is_the_one_that_is_named(name):
         stss.convert(0, planes(**{plane: change(planes()[plane]) for plane, change in changes.items()}))
 
 
-def test_a_frame_that_was_not_rendered_has_no_color_or_none():
-    without = planes()
-    del without["color"]
-    assert stss.convert(0, planes(color=None)).color is stss.convert(0, without).color is None
-
-
 DEVICE = {"kind": "device", "near": 0.1, "far": np.inf, "reversed": True}
 
 
