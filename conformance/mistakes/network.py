@@ -310,6 +310,11 @@ ERM = (
     _length("not_rooted", "divides by the length's square", lambda square: np.maximum(square, 1e-12)),
     _length("epsilon_added", "adds 1e-3 to the length", lambda square: np.sqrt(square) + 1e-3),
     _length("epsilon_inside", "adds 1e-5 under the root", lambda square: np.sqrt(square + 1e-5)),
+    _length(
+        "square_in_half",
+        "the square of a length ends at 65504",
+        lambda square: np.maximum(np.sqrt(np.minimum(square, 65504)), 1e-12),
+    ),
     _weight("weight_relu_missing", "weights may be negative", lambda weight: weight),
     _weight("weight_absolute", "|w| for relu(w)", np.abs),
     _weight("softmax", "exp for ReLU", np.exp),

@@ -19,6 +19,8 @@ from conformance.suite.properties import (
 )
 from stss_ref.weights import Weights
 
+LONG = 1024.0
+"""A key: its square is larger than all numbers of float16."""
 CASES = st.tuples(network_inputs("erm", multiples(48)), weights())
 
 
@@ -73,10 +75,13 @@ def test_equal_light_stays_equal(judge: Judge, case: tuple[Inputs, Weights]) -> 
 
 @cases(st.tuples(CASES, SEEDS), slow=True)
 def test_opposite_materials_share_no_light(judge: Judge, case: tuple[tuple[Inputs, Weights], int]) -> Talk:
-    """If keys are the sign of the first normal component, each place averages only the light of its sign: negative weights count as 0."""
+    """If keys have the sign of the first normal component, each place averages only the light of its sign: negative weights count as 0.
+
+    Some keys are so long that the sum of their squares leaves float16, though they themselves do not; and all of them count alike.
+    """
     (inputs, weights), seed = case
     height, width, _ = inputs["x4"].shape
-    signs = np.random.default_rng(seed).choice([-1.0, 1.0], (height, width))
+    signs = np.random.default_rng(seed).choice([-1.0, 1.0, -1 / LONG, 1 / LONG], (height, width))
     signed = {**inputs, "gbuffer": inputs["gbuffer"].copy()}
     signed["gbuffer"][..., 0] = signs.repeat(8, axis=0).repeat(8, axis=1)
     yield from judge.agrees("erm", signed, weights | _sign_of_the_first(weights))
@@ -105,9 +110,16 @@ def _centre(weight: np.ndarray) -> np.ndarray:
 
 
 def _sign_of_the_first(weights: Weights) -> dict[str, np.ndarray]:
-    """Weights of a KEncoder whose only key is the sign of its first input."""
+    """Weights of a KEncoder whose only key is ``LONG`` times its first input."""
     keys = {name: np.zeros_like(tensor) for name, tensor in weights.items() if name.startswith("KEncoder")}
-    for layer, output, source, value in ((0, 0, 0, 1), (0, 1, 0, -1), (2, 0, 0, 1), (2, 1, 1, 1), (4, 0, 0, 1), (4, 0, 1, -1)):
+    for layer, output, source, value in (
+        (0, 0, 0, 1),
+        (0, 1, 0, -1),
+        (2, 0, 0, 1),
+        (2, 1, 1, 1),
+        (4, 0, 0, LONG),
+        (4, 0, 1, -LONG),
+    ):
         keys[f"KEncoder.{layer}.weight"][output, source, 1, 1] = value
     return keys
 
