@@ -25,6 +25,8 @@ count."""
 _OVER = 1, 7, 9, 15, 17, 23, 25, 31
 ODD_SIZES: tuple[Size, ...] = tuple((32 + h, 32 + w) for h, w in zip(_OVER, (*_OVER[3:], *_OVER[:3]), strict=True))
 """(H, W) for the image stages, small: tiles of 8, 16 and 32 leave little over, nearly all, or half and a little more or less, both ways."""
+STRIPS: tuple[Size, ...] = tuple(size for n in range(17, 32) for size in ((8, 8 * n), (8 * n, 8)))
+"""(H, W) for stages of the network, small: at 1/8 size vectors of 16 leave 1 to 15 over, those of 8 up to 7, both ways."""
 NETWORK_SIZES: tuple[Size, ...] = ((8, 2072), (2072, 8), (136, 184), (8, 528), (264, 8), (528, 64), (264, 272))
 """(H, W) for stages of the network: at 1/8 they have up to 259 rows or columns. The third has more than two tiles of 64 both ways, the
 last more than 65,536 pixels. With `AGAIN`, tiles of 32 leave 8, 16 and 24 over."""
@@ -192,7 +194,7 @@ def large_inputs(stage: str, most: int | None = None, size: Size | None = None, 
     extra = [_fitting_size(stage, size)] if size is not None else []
     again = [AGAIN, AGAIN] if most is None or most >= FEW else []
     usual = _sizes(stage)[:most]
-    odd = ODD_SIZES if again and stage in _IMAGE else ()
+    odd = () if not again else ODD_SIZES if stage in _IMAGE else STRIPS if stage in IN_FULL else ()
     own = [*usual, *again, *odd, *(each for each in extra if side is None or scale * max(each) <= side)]
     largest = max(map(max, own), default=0) if side is None else side // scale // 8 * 8
     cases = [_case(stage, i, (min(height, largest), min(width, largest))) for i, (height, width) in enumerate(own)]

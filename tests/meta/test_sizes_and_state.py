@@ -64,8 +64,9 @@ class SizedPort(ReferencePort):
         for array in outputs.values():
             if self.kind == "wrapped":
                 wrapped(array)
-            elif isinstance(self.kind, str) and self.kind.isdigit():
-                if array.shape[1] > 32 and array.shape[1] % 32 == int(self.kind):
+            elif isinstance(self.kind, str) and self.kind != "clamped":
+                rest, side = map(int, self.kind.split(" of "))
+                if array.shape[1] > side and array.shape[1] % side == rest:
                     beside(array, array.shape[1] - 1)
             elif self.kind != "clamped":
                 beside(array, self.kind)
@@ -77,9 +78,10 @@ SIZED = [
     *((stage, "wrapped") for stage in ("warp", "rrm", "network")),
     *((stage, "clamped") for stage in ("motion_chain", "warp")),
     *((stage, "tiled") for stage in ("encoder", "decoder")),
-    *((stage, rest) for stage, rests in (("rrm", ("1", "7", "25", "31")), ("encoder", ("8", "24"))) for rest in rests),
+    *((stage, f"{rest} of 32") for stage, rests in (("rrm", (1, 7, 25, 31)), ("encoder", (8, 24))) for rest in rests),
+    *((stage, rest) for stage in ("erm", "history") for rest in ("6 of 8", "7 of 8", "11 of 16", "15 of 16")),
 ]
-"""Stages and what is wrong: from a column on, an index, long motion, tiles, the last column where tiles of 32 leave so many over."""
+"""Stages and what is wrong: from a column on, an index, long motion, tiles, the last column where vectors or tiles leave so many over."""
 
 
 @pytest.mark.parametrize("sized", every(3, SIZED), ids=str)
