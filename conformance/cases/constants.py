@@ -17,12 +17,15 @@ from numpy.typing import NDArray
 from conformance.cases.large_inputs import frame_case
 from conformance.cases.stage_inputs import Inputs, make_weights
 from stss_ref.constants import EARLIER_SHARES, HoleLimits
+from stss_ref.holes import LEAST_LENGTH
 from stss_ref.reshade import COSINE, FOOTPRINTS, RADIUS, STATIC_COSINE
 from stss_ref.weights import Weights
 
 LIMITS = HoleLimits()
-CLOSE = 2.0**-9
-"""Relative distance of a number from its limit."""
+CLOSE = 2.0**-9, 2.0**-17
+"""Relative distances of numbers from their limit: beyond the rounding of float16, and within what a limit in float16 is off by."""
+FAINT = 1e-8
+"""Length of a normal that is no background's, whose is 0."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +50,11 @@ def _pairs(*numbers: float) -> NDArray[np.float64]:
     return np.repeat(np.array(numbers, np.float64), 2)[None]
 
 
+def _around(*limits: float) -> NDArray[np.float64]:
+    """`_pairs` of numbers close below and above each limit."""
+    return _pairs(*(limit * (1 + sign * close) for limit in limits for close in CLOSE for sign in (-1, 1)))
+
+
 def _still(width: int) -> Inputs:
     """Stage holes: one row of a frame in which nothing moves and nothing changed."""
     up = np.broadcast_to([0.0, 0.0, 1.0], (1, width, 3))
@@ -62,7 +70,7 @@ def _far(facing: float, depth: float) -> Callable[[Generator], Inputs]:
     bias = LIMITS.facing * facing + LIMITS.grazing * (1 - facing) + LIMITS.depth * depth
 
     def make(_: Generator) -> Inputs:
-        apart = _pairs(bias * (1 - CLOSE), bias * (1 + CLOSE))
+        apart = _around(bias)
         moved = np.stack([apart, np.zeros_like(apart), np.zeros_like(apart)], axis=-1)
         planes = {"nov": np.full_like(apart, facing), "depth": np.full_like(apart, depth)}
         return {**_still(apart.size), **planes, "position_previous": moved}
@@ -72,7 +80,9 @@ def _far(facing: float, depth: float) -> Callable[[Generator], Inputs]:
 
 def _footprint(_: Generator) -> Inputs:
     """Two rows of columns that are 8 cm apart in both directions, so that a footprint is 8 sqrt(2) cm; the last column has no position."""
-    apart = np.sqrt(128) * LIMITS.footprints * np.array([1 - CLOSE, 1 + CLOSE, 1 - CLOSE, 0])
+    apart = (
+        np.sqrt(128) * LIMITS.footprints * np.array([*(1 + sign * close for close in CLOSE for sign in (-1, 1)), 1 - CLOSE[0], 0])
+    )
     here = np.zeros((2, apart.size, 3))
     here[..., 0], here[..., 1] = 8 * np.arange(apart.size), 8 * np.arange(2)[:, None]
     there = here.copy()
@@ -94,23 +104,31 @@ def _lean(cosine: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _cosine(_: Generator) -> Inputs:
-    return _object(_lean(_pairs(*(LIMITS.cosine * (1 + sign * CLOSE) for sign in (-1, 1)))))
+    return _object(_lean(_around(LIMITS.cosine * (1 + LEAST_LENGTH))))
 
 
 def _static_cosine(_: Generator) -> Inputs:
     """Of static surfaces that stay where they are; the paper's test does not ask for their normals."""
-    normals = _lean(_pairs(*(LIMITS.static_cosine * (1 + sign * CLOSE) for sign in (-1, 1))))
+    normals = _lean(_around(LIMITS.static_cosine * (1 + LEAST_LENGTH)))
     return {**_still(normals.shape[1]), "normal_previous": normals, "paper": np.zeros(1, np.int32)}
 
 
 def _length(_: Generator) -> Inputs:
-    """Normals of one direction and of several lengths: at 4.9e-4, ``|n| / (|n| + 1e-5)`` is 0.98."""
-    length = _pairs(1e-6, 1e-5, 1e-4, 4.9e-4 * 0.95, 4.9e-4 * 1.05, 2e-3)
+    """Normals of one direction and of several lengths: at 4.9e-4, ``|n| / (|n| + 1e-5)`` is 0.98, which changes there 50 times less."""
+    near = [49 * LEAST_LENGTH * (1 + part) for part in (-0.05, -(2.0**-13), 2.0**-13, 0.05)]
+    length = _pairs(1e-6, 1e-5, 1e-4, *near, 2e-3)
     return _object(np.stack([np.zeros_like(length), np.zeros_like(length), length], axis=-1))
 
 
+def _hardly_there(_: Generator) -> Inputs:
+    """An object whose normals were 0, and now are 0 or hardly longer."""
+    length = _pairs(0, FAINT, 1e-4)
+    inputs = _object(np.zeros((*length.shape, 3)))
+    return inputs | {"normal": np.stack([np.zeros_like(length), np.zeros_like(length), length], axis=-1)}
+
+
 def _mesh(_: Generator) -> Inputs:
-    apart = _pairs(*(sign * LIMITS.mesh / 3 * (1 + more * CLOSE) for sign in (-1, 1) for more in (-1, 1)))
+    apart = _around(-LIMITS.mesh / 3, LIMITS.mesh / 3)
     ones = np.ones_like(apart)
     return {**_still(apart.size), "stencil": ones, "stencil_previous": ones + apart}
 
@@ -118,7 +136,7 @@ def _mesh(_: Generator) -> Inputs:
 def _farthest(rng: Generator) -> Inputs:
     """A few pixels that splat, on a ground that is too far to splat."""
     depth = np.full((1, 20), 20.0)
-    depth[0, ::5] = 10 * (1 - CLOSE), 10, 10 * (1 + CLOSE), 9
+    depth[0, ::5] = 10 * (1 - CLOSE[0]), 10, 10 * (1 + CLOSE[0]), 9
     motion = np.zeros((1, 20, 2))
     motion[..., 0] = 1.25
     valid = np.zeros((1, 20), np.uint8)
@@ -138,7 +156,7 @@ def _hole(width: int) -> Inputs:
 
 def _own_distance(rng: Generator) -> Inputs:
     """Columns 8 cm apart, so that a footprint is 8 cm; a sample within two footprints is a hole's own."""
-    apart = 8 * FOOTPRINTS * _pairs(1 - CLOSE, 1 + CLOSE)
+    apart = _around(8 * FOOTPRINTS)
     inputs = _hole(apart.size)
     here = np.zeros((1, apart.size, 3))
     here[..., 0] = 8 * np.arange(apart.size)
@@ -152,7 +170,7 @@ def _own_distance(rng: Generator) -> Inputs:
 
 def _own_cosine(least: float, stencil: int) -> Callable[[Generator], Inputs]:
     def make(rng: Generator) -> Inputs:
-        normals = _lean(_pairs(*(least * (1 + sign * CLOSE) for sign in (-1, 1))))
+        normals = _lean(_around(least))
         inputs, size = _hole(normals.shape[1]), (1, normals.shape[1], 3)
         return inputs | {
             "color": rng.random(size), "warped": rng.random(size), "stencil": inputs["stencil"] + stencil,
@@ -180,6 +198,14 @@ def _background(rng: Generator) -> Inputs:
     normal = inputs["normal"] * 0
     normal[0, RADIUS - 3 : RADIUS] = 0, 0, 1
     return inputs | {"normal": normal, "base_color": inputs["base_color"] * 0}
+
+
+def _faint(rng: Generator) -> Inputs:
+    """The hole's normal is hardly longer than a background's: it takes from the surface alone."""
+    inputs = _background(rng)
+    normal = inputs["normal"].copy()
+    normal[0, RADIUS + 1, 2] = FAINT
+    return inputs | {"normal": normal}
 
 
 def _materials(rng: Generator) -> tuple[Inputs, Weights]:
@@ -233,6 +259,7 @@ CONSTANTS = (
     Constant("cosine", "0.98", "holes", _cosine),
     Constant("cosine of static surfaces", "0.5", "holes", _static_cosine),
     Constant("what is added to a normal's length", "1e-5", "holes", _length),
+    Constant("length of a background's normals", "0", "holes", _hardly_there),
     Constant("difference of stencils", "1", "holes", _mesh),
     Constant("stencil's channels", "3", "holes", _mesh),
     Constant("beginning of the depth buffer", "10", "occlusion_warp", _farthest),
@@ -243,6 +270,7 @@ CONSTANTS = (
     Constant("weight of base colours", "8", "reshade", _like),
     Constant("weight of normals", "2", "reshade", _like),
     Constant("weight of distances on a background", "0.25", "reshade", _background),
+    Constant("length of a background's own normal", "0", "reshade", _faint),
     Constant("power of a weight", "4", "reshade", _like),
     Constant("least length of a key", "1e-12", "erm", _materials),
     Constant("least sum of weights", "1e-6", "erm", _materials),

@@ -24,19 +24,22 @@ SIZE = 17, 23
 STENCILS = 0.0, 1.0, 255.0, 256.0, 257.0, 2048.0, 2049.0, 65536.0
 """Numbers of objects: 256 is 0 in 8 bits, 65536 in 16; half precision holds no 2049."""
 NOT_FINITE = 0.05
-"""The share of pixels whose motion is not finite."""
+"""The share of pixels whose motion is not finite, and of those where it is as long as float32 has it."""
+CHAINED = 1e18
+"""The longest finite motion in a chain, where squares of longer ones may overflow."""
 AXES = np.concatenate([np.eye(3), -np.eye(3)])
 """Normals of walls and floors."""
 MORE_MOTIONS = 3
 """Motions behind those that the steps need."""
 
 
-def _motion(rng: Generator, size: Size) -> NDArray[np.float64]:
-    """(H, W, 2) motion, half of it still, as often by -0 as by 0, and some of it lost."""
+def _motion(rng: Generator, size: Size, longest: float = float(np.finfo(np.float32).max)) -> NDArray[np.float64]:
+    """(H, W, 2) motion, half of it still, as often by -0 as by 0, and some of it lost: not finite, or ``longest`` both ways."""
     still = rng.choice([0.0, -0.0], (*size, 2))
     motion = np.where(rng.random((*size, 1)) < 0.5, still, rng.integers(-6, 7, (*size, 2)) / 4)
     lost = rng.random(size) < NOT_FINITE
     motion[lost, rng.integers(2, size=lost.sum())] = rng.choice([np.nan, np.inf, -np.inf], lost.sum())
+    motion[rng.random(size) < NOT_FINITE] = rng.choice([-1, 1]) * longest
     return motion
 
 
@@ -95,7 +98,7 @@ def _frame(second: SecondColor, fill: HoleFill, rng: Generator) -> tuple[Inputs,
     """Lost motion and lost positions lie in every frame, and stencils of every size."""
     inputs, weights = frame_case(SIZE, rng, second, fill=fill)
     values = rng.choice([np.nan, np.inf, -np.inf], SIZE)
-    motions = np.stack([_motion(rng, SIZE) for _ in range(len(inputs["motions"]) + MORE_MOTIONS)])
+    motions = np.stack([_motion(rng, SIZE, CHAINED) for _ in range(len(inputs["motions"]) + MORE_MOTIONS)])
     positions = inputs["positions"].copy()
     for plane in (*motions, *positions):
         where = rng.random(SIZE) < 0.03
@@ -105,7 +108,7 @@ def _frame(second: SecondColor, fill: HoleFill, rng: Generator) -> tuple[Inputs,
 
 
 _MAKERS: dict[str, tuple[Callable[[Generator], Any], ...]] = {
-    "motion_chain": (lambda rng: {"motions": np.stack([_motion(rng, SIZE) for _ in range(3)])},),
+    "motion_chain": (lambda rng: {"motions": np.stack([_motion(rng, SIZE), *(_motion(rng, SIZE, CHAINED) for _ in range(2))])},),
     "warp": (lambda rng: {"color": rng.random((*SIZE, 3)), "motion": _motion(rng, SIZE)},),
     "holes": (_holes, _far_from_home), "occlusion_warp": (_occlusion_warp,), "reshade": (_reshade,),
     "frame": tuple(partial(_frame, second, fill) for second, fill in zip(SECOND_COLORS, HOLE_FILLS, strict=True)),

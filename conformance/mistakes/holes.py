@@ -210,6 +210,11 @@ HOLES = (
     _cosine("length_missing", "does not divide by the length", lambda dot, _, __: dot),
     _cosine("epsilon_missing", "no 1e-5 beside the length: no normal, no hole", lambda dot, then, _: dot / then),
     _cosine("cosine_absolute", "|cos|: a surface turned round is the same", lambda dot, then, _: np.abs(dot) / (then + 1e-5)),
+    _holes(
+        "faint_is_background",
+        "normals shorter than 1e-6 count as 0",
+        put("holes.is_surface", lambda normal, n: (_length(n) > 1e-6) | (_length(normal) > 1e-6)),
+    ),
     _holes("background_moves", "two normals of length 0 are a hole", put("holes.is_surface", lambda normal, n: np.True_)),
     _holes(
         "one_normal",

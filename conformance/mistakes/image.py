@@ -228,6 +228,12 @@ WARP = (
         FILL,
     ),
     _takes(
+        "finite_by_sum",
+        "motion whose components' sum is not finite counts as 0",
+        lambda motion: np.where(np.isfinite(motion.sum(axis=-1, keepdims=True)), motion, 0),
+        FILL,
+    ),
+    _takes(
         "nan_first_pixel",
         "non-finite motion, clamped, is the first pixel",
         lambda motion: np.where(np.isfinite(motion).all(axis=-1, keepdims=True), motion, -1e9),

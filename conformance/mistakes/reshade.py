@@ -151,6 +151,11 @@ RESHADE = (
         put("reshade.is_background", lambda normal: np.zeros(normal.shape[:-1], bool)),
     ),
     _reshade(
+        "faint_is_background",
+        "normals shorter than 1e-6 are a background's",
+        put("reshade.is_background", lambda normal: (normal * normal).sum(axis=-1) < 1e-12),
+    ),
+    _reshade(
         "background_by_z",
         "a background is where z of the normal is 0",
         put("reshade.is_background", lambda normal: np.asarray(normal[..., 2] == 0)),

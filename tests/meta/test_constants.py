@@ -45,12 +45,16 @@ PLANTS = {
     "distance head-on": [limits(facing=x) for x in (7.45, 7.55, 0.0)],
     "distance edge-on": [limits(grazing=x) for x in (44.8, 45.2, 0.0)],
     "distance by depth": [limits(depth=x) for x in (49.8, 50.2, 0.0)],
-    "cosine": [limits(cosine=x) for x in (0.977, 0.983, 0.0)],
+    "cosine": [limits(cosine=x) for x in (0.977, 0.983, np.float16(0.98), 0.0)],
     "what is added to a normal's length": [
-        *(put("holes.LEAST_LENGTH", x) for x in (0, 1e-6, 1e-4)),
+        *(put("holes.LEAST_LENGTH", x) for x in (0, 1e-6, 1e-4, float(np.float16(1e-5)))),
         cosine(lambda length: np.maximum(length, 1e-5)),
         cosine(lambda length: np.sqrt(length * length + 1e-10)),
     ],
+    "length of a background's normals": [
+        put("holes.is_surface", lambda normal, n: ((n * n).sum(axis=-1) > 1e-12) | ((normal * normal).sum(axis=-1) > 1e-12))
+    ],
+    "length of a background's own normal": [put("reshade.is_background", lambda normal: (normal * normal).sum(axis=-1) < 1e-12)],
     "difference of stencils": [limits(mesh=x) for x in (0.99, 1.01, 0.0)],
     "stencil's channels": [apart(x) for x in (1, 2, 4)],
     "beginning of the depth buffer": [
@@ -61,7 +65,7 @@ PLANTS = {
     "own samples' cosine, static": [put("reshade.STATIC_COSINE", x) for x in (0.49, 0.51, -2.0)],
     "weight of distances on a background": [put("reshade.DISTANCE", x) for x in (0.24, 0.26, 0.0)],
     "own samples' distance in footprints": [put("reshade.FOOTPRINTS", x) for x in (1.99, 2.01, 0.0)],
-    "own samples' cosine": [put("reshade.COSINE", x) for x in (0.897, 0.903, 0.0)],
+    "own samples' cosine": [put("reshade.COSINE", x) for x in (0.897, 0.903, float(np.float16(0.9)), 0.0)],
     "reach of like materials": [put("reshade.RADIUS", x) for x in (7, 9)],
     "weight of base colours": [put("reshade.BASE_COLOR", x) for x in (7.9, 8.1, 0.0)],
     "weight of normals": [put("reshade.NORMAL", x) for x in (1.95, 2.05, 0.0)],
