@@ -149,12 +149,12 @@ def _longest(earlier: NDArray[Any], column: Index, row: Index, arithmetic: Arith
     """
     four = np.stack([read_motion(earlier, column + i, row + j) for j in (0, 1) for i in (0, 1)])
     squares = squared_lengths(four)
-    squares = np.where(squares <= FLOAT32_MAX, squares, np.inf)  # all lengths beyond float32's range are equal
+    squares = np.where(squares <= FLOAT32_MAX, squares, np.inf)  # all lengths beyond float32's range may be equal
     first = squares.argmax(axis=0)[None]
     longest = np.take_along_axis(four, first[..., None], axis=0)
     most, is_exact = np.take_along_axis(squares, first, axis=0), _is_exact(four, squares, arithmetic)
     sure = is_exact & np.take_along_axis(is_exact, first, axis=0)
-    alike = _both(np.abs(four) == np.abs(longest)) | (np.isinf(squares) & np.isinf(most))
+    alike = _both(np.abs(four) == np.abs(longest)) | ~(_both(np.isfinite(four)) | _both(np.isfinite(longest)))
     # Subnormal components may be 0.
     near = squares >= most * (1 - BOUNDS["length"].roundings * 2.0**-24) - arithmetic.tiny**2
     still = is_any_still(four)[None]

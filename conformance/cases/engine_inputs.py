@@ -26,7 +26,7 @@ STENCILS = 0.0, 1.0, 255.0, 256.0, 257.0, 2048.0, 2049.0, 65536.0
 NOT_FINITE = 0.05
 """The share of pixels whose motion is not finite, and of those where it is as long as float32 has it."""
 CHAINED = 1e18
-"""The longest finite motion in a chain, where squares of longer ones may overflow."""
+"""The longest finite motion that a chain takes: squares of longer ones may overflow, and then rounding decides."""
 AXES = np.concatenate([np.eye(3), -np.eye(3)])
 """Normals of walls and floors."""
 MORE_MOTIONS = 3

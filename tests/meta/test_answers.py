@@ -7,8 +7,11 @@ import hypothesis
 import numpy as np
 from hypothesis import strategies as st
 
+from conformance.answers.expected import largest
+from conformance.answers.motion_chain import expect_motion_chain
 from conformance.answers.occlusion_warp import expect_occlusion_warp
 from conformance.answers.port_arithmetic import Arithmetic
+from stss_ref.motion_chain import motion_chain
 from stss_ref.occlusion_warp import look_up, splat
 
 HALF = Arithmetic("float16")
@@ -66,3 +69,16 @@ def test_any_way_of_each_pixel_is_right(seed):
     found = {p: {tuple(each[p]) for each in (expected.want, *expected.others)} for p in np.ndindex(SIZE)}
     assert found == answers(motion, depth, off)
     np.testing.assert_array_equal(expected.want, look_up(splat(motion, depth), motion))
+
+
+def test_of_lengths_beyond_float32_any_is_the_longest():
+    """Float32 takes the first of them, and float64 the one that is not finite."""
+    motions = np.ones((2, 2, 2, 2))
+    motions[0] = 0.25
+    motions[1, 0] = [1e30, 0], [np.nan, 1]
+    right = expect_motion_chain({"motions": motions}, Arithmetic("float32"))["motion"]
+    for dtype in (np.float32, np.float64):
+        got = motion_chain(motions.astype(dtype))
+        assert largest(right.closer(got), got) <= 1
+    none_of_them = np.full((2, 2, 2), 1.25, np.float32)
+    assert largest(right.closer(none_of_them), none_of_them) > 1
