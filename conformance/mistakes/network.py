@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from conformance.mistakes.precision import of_bits
 from conformance.protocol.reference_copy import Mistake, Plant, change_arguments, fault, half, put, returns, wrap
 from stss_ref.conv import conv_named, gated, relu, sigmoid
 from stss_ref.erm import WINDOW, attend, divide, window
@@ -63,6 +64,7 @@ HISTORY = (
     _history("of_8_bits", "history in 8 bits", lambda history: np.round(np.clip(history, 0, 1) * 255) / history.dtype.type(255)),
     _history("bgr", "colours in reverse", _with_mask(lambda color, mask: (color[..., ::-1], mask))),
     fault("history", "last_relu", "ReLU after lowlevelGated", returns("history.gated", lambda y: np.maximum(y, 0))),
+    fault("history", "gate_of_16_bits", "exp of 16 bits", put("conv.sigmoid", lambda x: 1 / (1 + of_bits(16)(np.exp(-x))))),
     fault("history", "gate_missing", "no gate in lowlevelGated", _gate_missing("history", "lowlevelGated")),
     fault("history", "first_relu_missing", "no ReLU after the convolution of stride 2", _relu_missing("history", 0)),
     fault("history", "third_relu_missing", "no ReLU after the third convolution", _relu_missing("history", 2)),

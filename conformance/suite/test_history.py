@@ -17,6 +17,7 @@ from conformance.suite.properties import (
     rounds_either_way,
     same_twice,
 )
+from conformance.tolerance import BOUNDS
 from stss_ref.weights import Weights
 
 CASES = st.tuples(network_inputs("history"), weights())
@@ -42,16 +43,18 @@ def test_the_three_frames_share_their_weights(judge: Judge, case: tuple[tuple[In
     judge.holds("history.feature", got["feature"], Expected(whole["feature"], 2 * np.asarray(right.allowed)))
 
 
-@cases(CASES, slow=True)
-def test_without_weights_the_bias_is_left(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
-    """If all weights are 0, the feature is the last layer's bias, times a gate of one half: no ReLU follows the gate."""
-    inputs, weights = case
+@cases(st.tuples(CASES, st.floats(-6, 6, width=16)), slow=True)
+def test_without_weights_the_bias_is_left(judge: Judge, case: tuple[tuple[Inputs, Weights], float]) -> Talk:
+    """If all weights are 0, the feature is the last layer's bias, times the sigmoid of the gate's bias: no ReLU follows the gate."""
+    (inputs, weights), gate = case
     name = "lowlevelGated.conv_feature.bias"
-    still = weights.convert(lambda tensor: tensor * 0) | {name: weights[name]}
+    still = weights.convert(lambda tensor: tensor * 0)
+    still |= {name: weights[name], "lowlevelGated.conv_mask.0.bias": np.full(1, gate, np.float32)}
     bias = judge.round_inputs(still)[name].astype(np.float64)
-    right = judge.right("history", inputs, still)["feature"]
     got = (yield ask("history", inputs, still))["feature"]
-    judge.holds("history.feature", got, Expected(np.broadcast_to(bias / 2, got.shape), right.allowed))
+    off = (BOUNDS["gate"].roundings + 1) * judge.arithmetic.unit * np.abs(bias) + judge.arithmetic.tiny  # sigmoid and product
+    want = np.broadcast_to(bias / (1 + np.exp(-gate)), got.shape)
+    judge.holds("history.feature", got, Expected(want, np.broadcast_to(off, got.shape)))
 
 
 test_the_same_twice = same_twice("history", cases(CASES, slow=True))
