@@ -13,6 +13,7 @@ from stss.check_sequence.motion_convention import ConventionVerdict
 from stss.frames.buffers import Buffers
 from stss.frames.check_buffers import ROUNDING
 from stss.frames.output import choose_rendered
+from stss.images.color import LARGEST
 from stss.images.headers import read_header
 from stss.images.read_write import WHOLE
 from stss.sequence.profiles import BUFFERS
@@ -360,6 +361,10 @@ class Values:
             lines.append(("warning" if share > 0.01 else "note", f"colour: {share:.2%} of the values negative; clipped to 0"))
         if most <= 0:
             lines.append(("warning", "colour: nothing above 0 anywhere"))
+        elif most > LARGEST:
+            lines.append(
+                ("warning", f"colour: up to {most:.4g}, beyond {LARGEST:g}, which outputs hold at most: clamp fireflies")
+            )
         elif linear and (share := self._share("lit above 1", "lit values")) > OVEREXPOSED:
             text = f"colour: {share:.0%} of the surfaces' values above 1, which the network sees as 1 and does not sharpen"
             lines.append(("warning", f"{text}: lower the exposure"))

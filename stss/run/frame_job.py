@@ -27,7 +27,7 @@ from stss_ground.errors import InputError
 from stss_ground.output.folder import SUMS, OutputFolder
 from stss_ground.version import VERSION
 from stss_ref import SPEC_VERSION
-from stss_ref.schedule import FrameKind, schedule
+from stss_ref.schedule import FrameKind
 
 HOLES = "holes"
 """Subfolder of the run's folder: the warping holes."""
@@ -179,12 +179,12 @@ class FrameJob:
         output = compute(job.window, self.backend, self.curve)
         if output is None:
             number = job.window[-1].number
-            # At the start of a shot this is expected; later on it means that an earlier frame could not be read.
-            reach = number - shot_start(number, number - WINDOW, self.options.cuts)
             reason = f"frame {number}: no rendered frame just before it to extrapolate from"
-            if not reach:
+            if number == shot_start(number, number - WINDOW, self.options.cuts):
                 reason = f"frame {number}: the first of a shot, and not rendered: nothing to make it from"
-            fault = schedule(number, self.rendered, reach=reach) is not None
+            # Before the first rendered frame of a shot this is expected; later on the film has a hole.
+            start = shot_start(number, min(self.rendered), self.options.cuts)
+            fault = any(n in self.rendered for n in range(start, number))
             return FrameReport(number, FrameKind.EF, "left out", reason, fault=fault)
         newest = job.window[-1]
         share = static_holes(newest.stencil, newest.gbuffer[..., :3], output.valid) if output.kind is FrameKind.EF else None

@@ -69,6 +69,8 @@ def test_a_colour_that_was_not_rendered_is_named(frames, lights, named):
 
 TURN = np.float32([[1, 0, 0], [0, np.cos(0.14), np.sin(0.14)], [0, -np.sin(0.14), np.cos(0.14)]])
 """Of a camera that looks down by 8 degrees."""
+FIREFLY = np.zeros((54, 96, 3), np.float32)
+FIREFLY[20, 30] = 1e20
 MISTAKES = {
     "motion: seems to be from the previous frame": lambda f: replace(f, motion=-f.motion),
     "motion: seems to be in UV": lambda f: replace(f, motion=f.motion / np.float32([96, 54])),
@@ -79,6 +81,7 @@ MISTAKES = {
     "background: its motion is 0": lambda f: replace(f, motion=np.where(np.isfinite(f.depth)[..., None], f.motion, 0)),
     "base_color: looks encoded": lambda f: replace(f, base_color=f.base_color ** np.float32(1 / 2.2)),
     "colour: 100% of the surfaces' values above 1": lambda f: replace(f, color=None if f.color is None else 100 * f.color),
+    "colour: up to 1e+20, beyond 65504": lambda f: replace(f, color=None if f.color is None else np.fmax(f.color, FIREFLY)),
     "motion: 100.0% of the pixels move by more than the frame, or non-finite": lambda f: replace(f, motion=np.nan * f.motion),
     "colour: looks encoded": lambda f: f if f.color is None else replace(f, color=f.color.clip(0, 1) ** np.float32(1 / 2.2)),
 }

@@ -290,6 +290,20 @@ def test_an_output_is_tagged_as_the_colour_that_it_shows(write_frames, tmp_path)
     assert not any("whiteLuminance" in each for each in attributes)
 
 
+@pytest.mark.parametrize(("rendered", "cuts", "missing", "status"), [
+    ((1, 3, 5), (), [0], 0), ((0, 2, 5), (4,), [4], 0),  # nothing comes before the first rendered frame of a shot
+    ((0, 3), (), [2, 5], 1), ((0,), (), [2, 3, 4, 5], 1), ((0, 3), (2,), [2, 5], 1),
+])  # fmt: skip
+def test_a_film_with_a_hole_is_a_finding(write_frames, tmp_path, rendered, cuts, missing, status):
+    """As where every third frame was rendered: a farm would take status 0 for a whole film."""
+    folder = write_frames(range(6), rendered=rendered, size=(16, 24))
+    result = call("run", folder, "-o", tmp_path / "out", *PLAIN, *(["--cuts", str(cuts[0])] if cuts else []))
+    made = {int(path.name.split(".")[1]) for path in (tmp_path / "out").glob("*.exr")}
+    assert [n for n in range(6) if n not in made] == missing
+    assert [f"left out: frame {n}: " in result.stderr for n in range(6)] == [n in missing for n in range(6)]
+    assert result.returncode == status, result.stderr
+
+
 @pytest.mark.parametrize("name", ["film.mp4", "out/f.####.exr", "a.PNG"])
 def test_a_folder_is_not_named_like_a_file(write_frames, tmp_path, name):
     lr = write_frames([1, 2])
