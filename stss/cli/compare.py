@@ -50,7 +50,10 @@ def compare_command(
     perceptual: Perceptual,
     as_json: bool,
 ) -> None:
-    """Compare the frames in OUT with those in TRUTH: PSNR and SSIM over all pixels, edges and holes."""
+    """Compare the frames in OUT with those in TRUTH: PSNR and SSIM over all pixels, edges and holes.
+
+    Each is a folder, or a pattern like a.####.exr.
+    """
     from stss.quality import compare as comparing
     from stss.quality import comparison_page as pages
     from stss.quality.output_and_truth import find_pairs

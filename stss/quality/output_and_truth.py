@@ -14,7 +14,7 @@ from stss.images.color import TRANSFERS, Transfer, chromaticities, same_primarie
 from stss.images.headers import Header, Value, read_header
 from stss.images.read_write import read_rgb
 from stss.images.windows import union
-from stss.sequence.find_files import numbered_files
+from stss.sequence.find_files import numbered_files, split_pattern
 from stss.sequence.raw_frame import NonFinite
 from stss_ground.errors import InputError
 from stss_ref.arrays import Image
@@ -148,20 +148,28 @@ def list_numbers(numbers: Iterable[int]) -> str:
 
 
 def find_images(folder: Path, frames: tuple[int, int] | None = None) -> dict[int, Path]:
-    """EXR and PNG files by frame number: the last digits of the name without its suffix.
+    """EXR and PNG files by frame number: the last digits of the name without its suffix, or the ``####`` of a pattern.
 
     Raises:
-        InputError: there is no such folder, or a number appears twice.
+        InputError: there is no such folder, no file of the pattern, or a number appears twice.
     """
-    if not folder.is_dir():
+    place, pattern = split_pattern(folder, SUFFIXES)
+    if not place.is_dir():
         raise InputError(f"{folder}: " + ("expected a folder, found a file" if folder.exists() else "no such folder"))
     files: dict[int, Path] = {}
-    images = [p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES and not p.name.startswith(".")]
-    for path, _, number, *_ in numbered_files(sorted(images, key=lambda p: (p.suffix.lower() != ".png", p.name))):
+    suffixes = SUFFIXES if pattern is None or folder.suffix.lower() not in SUFFIXES else (folder.suffix.lower(),)
+    images = [p for p in place.iterdir() if p.suffix.lower() in suffixes and not p.name.startswith(".")]
+    in_order = sorted(images, key=lambda p: (p.suffix.lower() != ".png", p.name))
+    for path, before, number, _, after in numbered_files(in_order, "" if pattern is None else pattern.end):
+        if pattern is not None and (before, after) != pattern:
+            continue
         if number in files and files[number].stem != path.stem:
-            raise InputError(f"{folder}: frame {number} appears twice: {files[number].name}, {path.name}")
+            names = f"{files[number].name}, {path.name}"
+            raise InputError(f"{folder}: frame {number} appears twice: {names}; give one as a pattern, like NAME.####.exr")
         if frames is None or frames[0] <= number <= frames[1]:
             files[number] = path  # an EXR comes after a PNG of its name and replaces it
+    if pattern is not None and not files and frames is None:
+        raise InputError(f"{folder}: no frames")
     return files
 
 

@@ -87,6 +87,29 @@ def numbered_files(paths: Iterable[Path], end: str = "") -> list[NumberedFile]:
     return files
 
 
+class Pattern(NamedTuple):
+    """What stands before and behind the number in the names of a sequence, the latter without the suffix."""
+
+    before: str
+    after: str
+
+    @property
+    def end(self) -> str:
+        """``end`` of `numbered_files`: only a number behind the frame's has to be known before."""
+        return self.after if _DIGIT.search(self.after) else ""
+
+
+def split_pattern(path: Path, suffixes: Collection[str]) -> tuple[Path, Pattern | None]:
+    """The folder of a sequence; and its pattern, if ``path`` is one like ``folder/name.####.exr`` and no folder.
+
+    ``suffixes``: those that a pattern may end in.
+    """
+    stem = path.stem if path.suffix.lower() in suffixes else path.name
+    # A folder's name may have a #. Path.is_dir raises where a folder above cannot be entered.
+    match = None if os.path.isdir(path) else _PATTERN.fullmatch(_compose(stem))  # noqa: PTH112
+    return (path, None) if match is None else (path.parent, Pattern(match[1], match[2]))
+
+
 def find_frames(path: Path, endings: Collection[str]) -> Frames:
     """Find the EXR files of a sequence.
 
@@ -99,18 +122,14 @@ def find_frames(path: Path, endings: Collection[str]) -> Frames:
         InputError: there are no such files, those of several sequences, or two for one frame; a number has too many
             digits; or the folder cannot be read.
     """
-    stem = path.stem if path.suffix.lower() == ".exr" else path.name
-    # A folder's name may have a #. Path.is_dir raises where a folder above cannot be entered.
-    pattern = None if os.path.isdir(path) else _PATTERN.fullmatch(_compose(stem))  # noqa: PTH112
-    folder = path if pattern is None else path.parent
-    end = pattern[2] if pattern is not None and _DIGIT.search(pattern[2]) else ""
+    folder, pattern = split_pattern(path, (".exr",))
     images = (f for f in _files(path, folder) if f.suffix.lower() == ".exr" and not f.name.startswith("."))
-    files = numbered_files(images, end)
+    files = numbered_files(images, "" if pattern is None else pattern.end)
     parts = [(_name(file.before, file.after, endings), file) for file in files]
     if pattern is not None:
-        own_name = (_name(pattern[1], pattern[2], endings) or (pattern[1].rstrip(_SEPARATORS) + pattern[2], ""))[0]
+        own_name = (_name(*pattern, endings) or (pattern.before.rstrip(_SEPARATORS) + pattern.after, ""))[0]
         fitting = [(name, file) for name, file in parts if name is not None and name[0] == own_name]
-        parts = [(name, file) for name, file in fitting if _gap(file.before) == _gap(pattern[1])] or fitting
+        parts = [(name, file) for name, file in fitting if _gap(file.before) == _gap(pattern.before)] or fitting
     by_prefix: dict[str, Frames] = defaultdict(dict)
     for name, file in parts:
         if name is None:

@@ -315,8 +315,24 @@ def test_folders_that_do_not_fit(out, truth, tmp_path):
     with pytest.raises(InputError, match=r"one of frame 3; found frame 4$"):
         compare(out, truth)
     write_rgb(truth / "other.0004.png", flat(1))
-    with pytest.raises(InputError, match=r"frame 4 appears twice: other\.0004\.png, shot\.0004\.png"):
+    with pytest.raises(InputError, match=r"frame 4 appears twice: other\.0004\.png, shot\.0004\.png; give one as a pattern"):
         compare(out, truth)
+
+
+def test_a_pattern_says_which_of_a_folder_s_sequences_is_meant(out, truth):
+    """A renderer that writes a file for each pass puts them beside its picture."""
+    for number in (3, 4):
+        write_pair(out, truth, number, "SF", 1)
+        for name in (f"shot.{number:04d}_L2.png", f"shot_depth.{number:04d}.png"):
+            write_rgb(truth / name, flat(140))
+    for pattern, off in (("shot.####.png", 1), ("shot.####_L2", 39)):
+        rows = compare(out / "frame.####.png", truth / pattern).rows
+        assert len(rows) == 2
+        assert near(rows[0].scores["all"].psnr_rgb, decibels(off))
+    assert len(compare(out, truth / "shot.####", frames=(4, 4)).rows) == 1
+    for wrong in ("shot.####.exr", "sho.####.png", "shot_####.png"):
+        with pytest.raises(InputError, match=rf"{wrong}: no frames$"):
+            compare(out, truth / wrong)
 
 
 @pytest.mark.parametrize(
