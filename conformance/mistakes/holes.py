@@ -283,6 +283,7 @@ OCCLUSION_WARP = (
     _nearest("depth_of_16_bits", "depth in 16 bits", lambda depth: np.round(depth * 65535)),
     _nearest("half_depth", "depth in half precision", half),
     _nearest("minus_zero", "depth by its bits: -0 is the farthest", lambda depth: np.where(np.signbit(depth), 99, depth)),
+    _nearest("minus_zero_nearer", "-0 is nearer than 0", lambda depth: np.where(np.signbit(depth), -1, depth)),
     _fill("starts_at_1", "the depth buffer starts at 1: a background at 1 does not splat", put("occlusion_warp.FARTHEST", 1.0)),
     _pixels("one_pixel", "writes one pixel of four", lambda xy: (xy[0][:, :1], xy[1][:, :1])),
     _pixels("weighted_pixels", "whole-pixel motion writes no right neighbour", _where_it_moves),

@@ -227,11 +227,11 @@ WARP = (
         lambda motion: np.where(np.isfinite(motion), motion, 0),
         FILL,
     ),
-    _takes(
+    _warp(
         "finite_by_sum",
-        "motion whose components' sum is not finite counts as 0",
-        lambda motion: np.where(np.isfinite(motion.sum(axis=-1, keepdims=True)), motion, 0),
-        FILL,
+        "motion whose components' sum is not finite is lost",
+        change_arguments("sample.follow", motion=lambda m: np.where(np.isfinite(m.sum(axis=-1, keepdims=True)), m, np.nan)),
+        also=FILL,
     ),
     _takes(
         "nan_first_pixel",

@@ -25,7 +25,7 @@ import safetensors
 from conformance.protocol.array_specs import ArraySpec, Sizes, check_numbers
 from conformance.protocol.layers import LAYERS_OF, check_layers
 from conformance.protocol.port import AnyArray, Arrays, Case, Outputs, Unsupported
-from conformance.protocol.stages import check_input_shapes, check_inputs, check_output_shapes, find, require_inputs
+from conformance.protocol.stages import STAGES, check_input_shapes, check_inputs, check_output_shapes, find, require_inputs
 from conformance.protocol.weights_file import serialise
 from conformance.protocol.weights_format import take_format
 from stss_ground.arguments import listing
@@ -341,7 +341,7 @@ def read_layers(case: Path, stage: str, inputs: Arrays) -> Outputs:
     """Read the layers that a program left: all, some or none.
 
     Raises:
-        JobError: a file is not a layer of the stage, is damaged, or misshapen.
+        JobError: a file is neither a layer nor an output of the stage, is damaged, or misshapen.
     """
     folder = case / LAYERS
     if not folder.exists():
@@ -352,7 +352,7 @@ def read_layers(case: Path, stage: str, inputs: Arrays) -> Outputs:
 
     try:
         specs, names = LAYERS_OF.get(stage, {}), _names(folder)
-        if unknown := [name for name in names if name not in specs]:
+        if unknown := [name for name in names if name not in specs and name not in STAGES[stage].outputs]:
             raise ArrayError(f"{label(unknown[0])}: not a layer of stage {stage}")
         some = {name: specs[name] for name in specs if name in names}
         return _read_arrays(folder, some, lambda arrays: check_layers(stage, arrays, inputs, label))

@@ -9,7 +9,7 @@ import numpy as np
 
 from conformance.protocol.array_specs import ArraySpec, Label, array_spec, check_shapes
 from conformance.protocol.port import Arrays, Outputs
-from conformance.protocol.stages import check_inputs
+from conformance.protocol.stages import STAGES, check_inputs
 from conformance.protocol.watch import Activations
 from stss_ref.arrays import ArrayError
 from stss_ref.weights import LAYERS, SOURCES, Layer
@@ -55,7 +55,7 @@ def choose(stage: str, record: Activations) -> Outputs:
 
 
 def check_layers(stage: str, layers: Arrays, inputs: Arrays, label: Label = str) -> None:
-    """Check that ``layers`` are layers of a stage, of the right shapes, in float32.
+    """Check that ``layers`` are layers of a stage, of the right shapes, in float32. The stage's outputs may be among them.
 
     Raises:
         ArrayError: one is not.
@@ -63,6 +63,8 @@ def check_layers(stage: str, layers: Arrays, inputs: Arrays, label: Label = str)
     specs, sizes = LAYERS_OF.get(stage, {}), check_inputs(stage, inputs)
     padded = {letter: -(-size // 8) * 8 for letter, size in sizes.items()} if stage in PADDED else sizes
     for name, array in layers.items():
+        if name in STAGES[stage].outputs:
+            continue
         if name not in specs:
             raise ArrayError(f"{label(name)}: not a layer of stage {stage}")
         check_shapes({name: specs[name]}, {name: array}, sizes if name in _FRAME_SIZED else padded, "float32", label)

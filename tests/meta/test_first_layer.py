@@ -141,6 +141,10 @@ def test_what_a_program_leaves_there_is_checked(tmp_path):
     np.save(folder / "layers" / "convHis1.0.npy", np.zeros((3, 2, 2, 24), np.float32))
     with pytest.raises(JobError, match="expected shape"):
         read_layers(folder, "history", case.inputs)
+    layers = {**reference_layers("history", case.inputs, case.weights), "feature": np.zeros(3, np.float32)}
+    for name in ("convHis1.0", "feature"):  # an output is no layer, and does no harm
+        np.save(folder / "layers" / f"{name}.npy", layers[name])
+    assert read_layers(folder, "history", case.inputs).keys() == {"convHis1.0"}
     np.save(folder / "layers" / "conv1.npy", np.zeros(3, np.float32))
     with pytest.raises(JobError, match="not a layer of stage history"):
         read_layers(folder, "history", case.inputs)
