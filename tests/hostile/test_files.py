@@ -261,6 +261,12 @@ def test_an_empty_name_is_not_the_current_folder(tmp_path, monkeypatch, names, c
     refused_untouched(tmp_path, (*names, *words), "expected a name, got an empty text")
 
 
+def test_an_equals_sign_behind_a_short_option_is_no_name(tmp_path, monkeypatch):
+    """``-o=out`` would make a folder of the name ``=out``."""
+    monkeypatch.chdir(tmp_path)
+    refused_untouched(tmp_path, ("run", "no", "-o=out"), "expected a name, got =out; write --out=out, or -o out")
+
+
 def test_overwrite_removes_nothing_before_the_new_frames_are_there(out, demo, tmp_path):
     """A frame in the middle cannot be read: the frames before it are new, the frames behind it are from the earlier run."""
     frames = shutil.copytree(demo / "frames", tmp_path / "frames")
