@@ -213,7 +213,12 @@ def missing_buffers(sequence: Sequence, numbers: list[int]) -> list[CheckFinding
         findings.append(CheckFinding("note", f"colour: every second frame from {rendered[0]} on"))
     else:
         listing = _frames(rendered, len(rendered)) if rendered else "none"
-        findings.append(CheckFinding("warning", f"colour: expected every frame or every second one; found {listing}"))
+        text = f"colour: expected every frame or every second one; found {listing}"
+        # A recorder counts the frames that it writes.
+        if len(rendered) > 1 and rendered[-1] - rendered[0] == len(rendered) - 1 and abs(2 * len(rendered) - len(numbers)) <= 1:
+            own = ", ".join(str(n) for n in numbers[:5:2])
+            text += f"; if they are numbered one by one at half rate, give each the number of its display frame: {own}, ..."
+        findings.append(CheckFinding("warning", text))
     return findings
 
 

@@ -123,10 +123,16 @@ def test_half_rate_g_buffers_are_said_first(write_frames):
     assert "no nov and no camera" in report.findings[1].text
 
 
-def test_colour_at_odd_frames(write_frames):
-    report = check(write_frames([1, 2, 3, 4], rendered={1, 2, 4}), SequenceOptions("stss"))
+@pytest.mark.parametrize(
+    ("rendered", "own"), [((1, 2, 4), ""), ((1, 2, 3, 5), ""), ((1, 2), ""), ((1, 2, 3), "1, 3, 5"), ((4, 5, 6, 7), "1, 3, 5")]
+)
+def test_colour_at_odd_frames(write_frames, rendered, own):
+    """A recorder at half rate counts the frames that it writes: the first half of all numbers."""
+    report = check(write_frames(range(1, 8), rendered=rendered, size=(16, 24)), SequenceOptions("stss"))
     warnings = [text for text in texts(report, "warning") if text.startswith("colour: expected every frame or every second")]
     assert len(warnings) == 1
+    said = f"; if they are numbered one by one at half rate, give each the number of its display frame: {own}, ..."
+    assert warnings[0].partition("; if")[1:] == (("; if", said[4:]) if own else ("", ""))
 
 
 @pytest.mark.parametrize(
