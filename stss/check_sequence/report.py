@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -79,15 +80,18 @@ class CheckReport:
         return 2 if "error" in levels else 1 if "warning" in levels else 0
 
     def to_json(self) -> str:
-        """Status, findings and tables as JSON."""
-        return json.dumps(
-            {
-                "status": self.status,
-                "findings": [dataclasses.asdict(finding) for finding in self.findings],
-                **self.tables,
-            },
-            indent=2,
-        )
+        """Status, findings and tables as JSON, which has no infinity: such a number is the text "inf", one that is none "nan"."""
+        findings = [dataclasses.asdict(finding) for finding in self.findings]
+        return json.dumps(_plain({"status": self.status, "findings": findings, **self.tables}), indent=2, allow_nan=False)
+
+
+def _plain(value: Any) -> Any:
+    """A table's entries with numbers that are not finite as text."""
+    if isinstance(value, Mapping):
+        return {key: _plain(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(entry) for entry in value]
+    return str(value) if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def check(
