@@ -211,7 +211,7 @@ def _faint(rng: Generator) -> Inputs:
 def _materials(rng: Generator) -> tuple[Inputs, Weights]:
     """A few places with keys about 1e-12 long, among keys a million times shorter: sums of weights are about 1e-6, lengths 1e-12."""
     size = 9, 9
-    keys = 1e-6 * rng.choice([0.1, 0.3, 0.6, 2.0], size)
+    keys = 1e-6 * rng.choice([1e-3, 0.1, 0.3, 0.6, 2.0], size)
     keys[1::4, 1::4] = rng.choice([1.0, 2.0, 5.0], (2, 2))
     return _lit(rng, keys, np.ones(size))
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from conformance.cases.constants import FAINT
 from conformance.cases.engine_inputs import ENGINE_STAGES, engine_inputs
 from conformance.cases.every_buffer import frame_cases
 from conformance.cases.near_limits import hardly_far, hardly_turned, near_frames
@@ -130,6 +131,8 @@ def _reshade(generator: np.random.Generator) -> Any:
         inputs["motion"], inputs["base_color"] = motion(generator, size, kind) / 2, generator.random((*size, 3))
         inputs["valid"] = (generator.random(size) < 0.5).astype(np.uint8)
         yield inputs, None
+    inputs["normal"] = inputs["normal"] + (generator.random((*size, 1)) < 0.1) * FAINT
+    yield inputs, None
 
 
 def _rrm(generator: np.random.Generator) -> Any:
@@ -148,9 +151,12 @@ def _accumulate(generator: np.random.Generator) -> Any:
 
 @cache
 def weights_of(kind: str) -> Weights:
-    """Weights that keep a signal's size, that enlarge it, or with materials that are almost 0."""
+    """Weights that keep a signal's size, that enlarge it, or whose materials are almost 0, or large."""
     weights = random(7)
-    factors = {"plain": {}, "loud": {"": 1.8, "conv_feature.weight": 1.6}, "faint": {"KEncoder.4": 2.0**-12}}[kind]
+    factors = {
+        "plain": {}, "loud": {"": 1.8, "conv_feature.weight": 1.6}, "faint": {"KEncoder.4": 2.0**-12},
+        "long": {"KEncoder.4": 2.0**12},
+    }[kind]  # fmt: skip
     for part, factor in factors.items():
         weights |= {name: np.float32(factor) * tensor for name, tensor in weights.items() if part in name}
     return weights
@@ -174,7 +180,7 @@ def _features(generator: np.random.Generator, height: int, width: int) -> dict[s
 def _networks(stage: str, generator: np.random.Generator) -> Any:
     sizes = [(16, 24), (40, 56)] if stage != "network" else [(13, 18), (16, 24), (8, 9)]
     # Through the whole network loud weights amplify rounding errors beyond any bound.
-    kinds = ("plain", "faint", "loud") if stage != "network" else ("plain", "faint")
+    kinds = ("plain", "faint", *(("loud",) if stage != "network" else ()), *(("long",) if stage == "erm" else ()))
     for height, width in sizes:
         for kind in kinds:
             features = _features(generator, height, width)

@@ -78,6 +78,7 @@ PLANTS = {
         divide(lambda total: total + total.dtype.type(1e-6)),
         divide(lambda total: np.where(total > 0, total, 1)),
         *(put("erm.LEAST_SUM", x) for x in (1e-7, 1e-5, 1e-38)),
+        returns("erm.likeness", lambda weight: np.where(weight < 1e-7, 0, weight)),
     ],
     "window": [put("erm.WINDOW", x) for x in (3, 7)],
     "share of the newer image": [put("accumulate.EARLIER_SHARES", (x, 0.125)) for x in (0.24, 0.26, 0.375)],
