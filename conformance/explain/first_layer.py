@@ -11,6 +11,7 @@ from conformance.judging.findings import Finding, describe
 from conformance.judging.judge import Judge
 from conformance.protocol.layers import LAYERS_OF, check_layers
 from conformance.protocol.port import Outputs, PortError, error_text, foreign_code
+from conformance.protocol.stages import STAGES
 from stss_ref.arrays import ArrayError
 
 END_WITH_LAYERS = frozenset(("history", "encoder"))
@@ -18,10 +19,10 @@ END_WITH_LAYERS = frozenset(("history", "encoder"))
 
 
 def first_departure(judge: Judge, finding: Finding) -> str:
-    """Words on the first layer that departs; empty if the stage has none."""
+    """Words on the first layer that departs; empty if the stage has none, or if it is no output that departs, but how sums are rounded."""
     case = finding.case
     specs = LAYERS_OF.get(case.stage, {})
-    if not specs or case.weights is None or finding.expected is None:
+    if not specs or case.weights is None or finding.expected is None or finding.output not in STAGES[case.stage].outputs:
         return ""
     try:
         got = _layers_of(judge, finding)

@@ -7,6 +7,7 @@ import sys
 import numpy as np
 import pytest
 
+from conformance.answers.expected import Expected
 from conformance.explain.first_layer import first_departure
 from conformance.judging.findings import DepartureError, Finding
 from conformance.judging.judge import Judge, Tier, agreement
@@ -65,6 +66,13 @@ def test_of_few_layers_the_first_behind_the_mistake_is_named():
 def test_what_the_network_is_given_comes_first():
     """A mistake before the network: the history of stage frame in the wrong order."""
     assert words(find("frame_history_newest_first").port(), "frame").startswith("first departs at layer history: ")
+
+
+def test_how_sums_are_rounded_begins_at_no_layer():
+    """Each number is within its bound there, so no layer departs, nor what comes after the last one."""
+    case, judge = samples("decoder")[0], Judge(ReferencePort())
+    got = judge.run(case.stage, case.inputs, case.weights)["image"]
+    assert first_departure(judge, Finding("", case, "rounding", got, Expected(got, 0.0))) == ""
 
 
 def test_what_lies_behind_all_layers_is_not_one_of_them():
