@@ -127,6 +127,8 @@ class Size(click.ParamType):  # pyrefly: ignore[implicit-any-type-argument]
 def _require_name(kind: click.ParamType[Any], value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
     if value == "":
         kind.fail("expected a name, got an empty text; is a variable of a script not set?", param, ctx)
+    if isinstance(param, click.Option) and isinstance(value, str) and value.startswith("="):  # of -o=out
+        kind.fail(f"expected a name, got {value}; write {param.opts[-1]}{value}, or {param.opts[0]} {value[1:]}", param, ctx)
     return value
 
 

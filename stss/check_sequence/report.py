@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -79,15 +80,18 @@ class CheckReport:
         return 2 if "error" in levels else 1 if "warning" in levels else 0
 
     def to_json(self) -> str:
-        """Status, findings and tables as JSON."""
-        return json.dumps(
-            {
-                "status": self.status,
-                "findings": [dataclasses.asdict(finding) for finding in self.findings],
-                **self.tables,
-            },
-            indent=2,
-        )
+        """Status, findings and tables as JSON, which has no infinity: such a number is the text "inf", one that is none "nan"."""
+        findings = [dataclasses.asdict(finding) for finding in self.findings]
+        return json.dumps(_plain({"status": self.status, "findings": findings, **self.tables}), indent=2, allow_nan=False)
+
+
+def _plain(value: Any) -> Any:
+    """A table's entries with numbers that are not finite as text."""
+    if isinstance(value, Mapping):
+        return {key: _plain(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(entry) for entry in value]
+    return str(value) if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def check(
@@ -213,7 +217,12 @@ def missing_buffers(sequence: Sequence, numbers: list[int]) -> list[CheckFinding
         findings.append(CheckFinding("note", f"colour: every second frame from {rendered[0]} on"))
     else:
         listing = _frames(rendered, len(rendered)) if rendered else "none"
-        findings.append(CheckFinding("warning", f"colour: expected every frame or every second one; found {listing}"))
+        text = f"colour: expected every frame or every second one; found {listing}"
+        # A recorder counts the frames that it writes.
+        if len(rendered) > 1 and rendered[-1] - rendered[0] == len(rendered) - 1 and abs(2 * len(rendered) - len(numbers)) <= 1:
+            own = ", ".join(str(n) for n in numbers[:5:2])
+            text += f"; if they are numbered one by one at half rate, give each the number of its display frame: {own}, ..."
+        findings.append(CheckFinding("warning", text))
     return findings
 
 

@@ -36,6 +36,8 @@ MANY = 0.2
 """Share of holes among static surfaces, from which there is a warning, if motion and positions agree."""
 PROPORTIONAL = 0.05
 """Largest median deviation of depths from the distance along the view, as a share of it."""
+ONE_DISTANCE = 1e-3
+"""Least spread of these distances that tells something, as a share of them."""
 MOVERS = 0.01
 """Share of the surfaces with stencil 0 that move by themselves, from which there is a warning."""
 MOVER = 0.5
@@ -355,12 +357,17 @@ def _line(true: Array, motion: Array) -> tuple[float, float]:
 
 
 def _depth(frame: Buffers, projection: Projection) -> float:
-    """Median deviation of depths from a multiple of the distance along the view of a frame's positions; -1 where they fall with it."""
+    """Median deviation of depths from a multiple of the distance along the view of a frame's positions; -1 where they fall with it.
+
+    0 where all is seen from one distance, as by an orthographic camera from infinity: the positions then say nothing of depth.
+    """
     mask = static_surfaces(frame)
     if mask.sum() < 2:
         return np.inf
     away = projection.project(frame.position[mask].astype(np.float64))[1]
     depth = frame.depth[mask].astype(np.float64)
+    if np.std(away) < ONE_DISTANCE * np.median(away):
+        return 0.0
     if np.cov(depth, away)[0, 1] < 0:
         return -1.0
     scale = float(np.median(depth / away))

@@ -205,7 +205,9 @@ class Values:
             text = f"{buffer}: {self._counts[f'non-finite {buffer}']} non-finite values, first in {first}"
             if buffer not in FINITE:
                 meaning = {"motion": "off screen", "depth": "nothing hit", "position": "a hole"}[buffer]
-                lines.append(("note", f"{text}; taken as {meaning}"))
+                # Without a position no pixel is followed; motion has a line of its own, in which large ones count too.
+                most = buffer == "position" and self._counts[f"non-finite {buffer}"] > self._counts["hit"] / 2
+                lines.append(("warning" if most else "note", f"{text}; taken as {meaning}"))
             elif policy == "refuse":
                 lines.append(("error", f"{text}; a run refuses them; --non-finite mask takes them as 0"))
             else:

@@ -22,6 +22,7 @@ from stss.sequence.reader import SequenceOptions
 from stss_cl.options import PRECISIONS, SKIPS, Precision, Skip
 from stss_ground.commands import group_options
 from stss_ground.option_kinds import Names, Number, ReadName, ReadPath
+from stss_ground.terminal import echo
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -62,6 +63,17 @@ class FrameNumbers(click.ParamType):  # pyrefly: ignore[implicit-any-type-argume
         if not all(_is_whole(word, MAX_DIGITS) for word in words):
             self.fail(f"expected frame numbers a,b,..., got {value!r}", param, ctx)
         return tuple(sorted({int(word) for word in words}))
+
+
+class TransferName(click.Choice):  # pyrefly: ignore[implicit-any]  # generic only since click 8.2
+    """A transfer; ``hdr``, which scripts of early users have, gives the default, with a warning."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Parse; None: the default."""
+        if value == "hdr":
+            echo("warning: --transfer hdr is gone: srgb carries highlights past the network; the default is taken", err=True)
+            return None
+        return super().convert(value, param, ctx)
 
 
 def sequence_options(command: Command) -> Command:
@@ -133,7 +145,7 @@ def frame_options(command: Command) -> Command:
         click.option("--frames", type=FrameRange(), help="First and last frame to write; earlier ones still serve as history."),
         click.option(
             "--transfer",
-            type=click.Choice(TRANSFERS),
+            type=TransferName(TRANSFERS),
             help="Transfer from the files' colour to the network's"
             "  [default: srgb for scene-linear files, none for display-referred ones]",
         ),

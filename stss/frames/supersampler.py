@@ -99,7 +99,8 @@ class Supersampler:
             The output; None for a frame that was not rendered, if no rendered frame precedes it directly.
 
         Raises:
-            InputError: a plane does not fit `Buffers`, or another thread is within ``push``; the frame was not taken.
+            InputError: a plane does not fit `Buffers`, or another thread is within ``push``. After this and any other exception the
+                frame was not taken.
         """
         if not self._busy.acquire(blocking=False):
             raise InputError(
@@ -120,8 +121,9 @@ class Supersampler:
         last = self._window[-1] if self._window else None
         if last is not None and (buffers.cut or frame.number != last.number + 1 or frame.nov.shape != last.nov.shape):
             self.reset()
-        self._window.append(frame)
-        return compute(tuple(self._window), self.backend, self._curve)
+        output = compute((*self._window, frame)[-WINDOW:], self.backend, self._curve)
+        self._window.append(frame)  # now: a call that was interrupted, or ran out of memory, may be made again
+        return output
 
     def __call__(self, frames: Iterable[Buffers]) -> Iterator[Output]:
         """Push frame after frame; yields each output before it reads the next frame.

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Headers of EXR and PNG files, checked before memory is taken.
 
-A file is refused, with one line, when it is larger than `MAX_SIDE`, `MAX_CHANNELS` or `MAX_BYTES` allow, or when it is
-deep. OpenImageIO gets the same limits, so that its own header code keeps to them too. A file is as large as its display
-window, whatever part of it its data windows cover.
+A file is refused, with one line, when it is larger than `MAX_SIDE`, `MAX_CHANNELS` or `MAX_BYTES` allow, or when all of
+it is deep; deep parts beside flat ones are passed over. OpenImageIO gets the same limits, so that its own header code
+keeps to them too. A file is as large as its display window, whatever part of it its data windows cover.
 """
 
 from __future__ import annotations
@@ -211,13 +211,13 @@ def _read_parts(
         data = _data(spec)
         # For both windows: pixels are decoded in the first, and placed in the second.
         size += int(spec.pixel_bytes(True)) * max(data.width * data.height, display.width * display.height)
-        own = _attributes(spec)
+        own, names = _attributes(spec), () if spec.deep else _names(path, spec)
         parts.append(
             _Part(
                 spec.get_string_attribute("oiio:subimagename"),
                 str(own.get("view", "")),
-                _names(path, spec),
-                tuple(_FORMATS.get(kind := str(spec.channelformat(i)), kind) for i in range(spec.nchannels)),
+                names,
+                tuple(_FORMATS.get(kind := str(spec.channelformat(i)), kind) for i in range(len(names))),
                 _compression(spec),
                 data,
             )
@@ -228,6 +228,8 @@ def _read_parts(
         if part > MAX_PARTS or count > MAX_CHANNELS or size > MAX_BYTES:
             limits = f"{MAX_PARTS}, {MAX_CHANNELS} and {MAX_BYTES}"
             raise InputError(f"{path}: {part} parts, {count} channels, {size} bytes; at most {limits}")
+    if not any(each.channels for each in parts):
+        raise InputError(f"{path}: deep image; expected flat channels")
     last_error(image)
     return parts, attributes, tuple(views)
 
@@ -274,8 +276,6 @@ def _check(path: Path, spec: oiio.ImageSpec, display: PixelWindow) -> None:
         if sides[2:] != sides[:2]:
             size += f", display window {_display(spec)}"
         raise InputError(f"{path}: {size}; expected 1 to {MAX_SIDE} pixels a side, 1 to {MAX_CHANNELS} channels")
-    if spec.deep:
-        raise InputError(f"{path}: deep image; expected flat channels")
     if spec.depth != 1 or spec.full_depth != 1:
         raise InputError(f"{path}: volume; expected a flat image")
     if _display(spec) != display:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 from string import Template
+from urllib.parse import quote
 
 import cv2
 import numpy as np
@@ -167,18 +168,12 @@ class _Store:
     def _write(self, name: str, data: bytes) -> str:
         folder = self._folder or self._enter()
         folder.write(name, data)
-        return f"{_quote(folder.path.name)}/{name}"
+        return f"{quote(folder.path.name)}/{name}"
 
     def _enter(self) -> OutputFolder:
         self._folder = page_folder(self._path)
         self._open(self._folder)
         return self._folder
-
-
-def _quote(name: str) -> str:
-    from urllib.parse import quote
-
-    return quote(name)
 
 
 def _png(image: Image) -> bytes:

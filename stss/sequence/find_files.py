@@ -190,6 +190,12 @@ def _below(folder: Path) -> str:
         below = (each for each in sorted(folder.iterdir()) if each.is_dir())
         images = (next((file for file in sorted(each.iterdir()) if file.suffix.lower() == ".exr"), None) for each in below)
         some = list(islice((image for image in images if image is not None), LOOKED_INTO))
+        if len(some) > 2 and len({image.name for image in some}) == 1 and _DIGIT.search(some[0].stem):
+            names = listing([image.parent.name for image in some], LISTED)
+            return (
+                f"; its folders {names} have frames of the same names: if each holds a pass, put all into one folder, with the pass in "
+                f"the name, {some[0].parent.name}.{some[0].name}, and say --profile FILE.toml (docs/profiles.md, [files])"
+            )
         if some:
             name = max(some, key=_count_channels).parent.name
             return f"; its folder {name} has EXR files: give that one, or put all frames of a shot into one folder"

@@ -286,7 +286,8 @@ class Sequence:
                 reason += f"; {counts[-1]} pixels have depth {depths[-1]:g}: if nothing was hit there, give a profile with this background"
             raise InputError(
                 f"{self._where(number)}: no nov and no camera, and position and depth do not give one ({reason}): give --camera CSV "
-                f"(frame,x,y,z in the scene's unit) or a channel {' or '.join(names[0] for names in self.profile.channels['nov'])}"
+                f"(frame,x,y,z in the scene's unit) or a channel {' or '.join(names[0] for names in self.profile.channels['nov'])}, "
+                "without which no orthographic camera can do"
             )
         return camera.pose
 

@@ -219,7 +219,7 @@ def test_every_command_says_what_it_reads_and_writes():
     """By the kinds of its parameters; what is text names no file."""
     texts = {"device", "cluster", "spec", "shapes"}
     all_commands = dict(commands())
-    assert len(all_commands) == 17
+    assert len(all_commands) == 16
     for names, command in all_commands.items():
         assert isinstance(command, Subcommand), names
         for parameter in command.params:
@@ -259,6 +259,12 @@ def test_an_empty_name_is_not_the_current_folder(tmp_path, monkeypatch, names, c
     arguments = {p: tmp_path / "no" for p in command.params if p.required} | {place: ""}
     words = [word for p, v in arguments.items() for word in ([v] if isinstance(p, click.Argument) else [p.opts[-1], v])]
     refused_untouched(tmp_path, (*names, *words), "expected a name, got an empty text")
+
+
+def test_an_equals_sign_behind_a_short_option_is_no_name(tmp_path, monkeypatch):
+    """``-o=out`` would make a folder of the name ``=out``."""
+    monkeypatch.chdir(tmp_path)
+    refused_untouched(tmp_path, ("run", "no", "-o=out"), "expected a name, got =out; write --out=out, or -o out")
 
 
 def test_overwrite_removes_nothing_before_the_new_frames_are_there(out, demo, tmp_path):

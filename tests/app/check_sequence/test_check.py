@@ -10,7 +10,7 @@ import pytest
 from rich.console import Console
 
 from stss.check_sequence.motion_convention import CHOICES
-from stss.check_sequence.report import check, missing_buffers, print_report
+from stss.check_sequence.report import CheckReport, check, missing_buffers, print_report
 from stss.images.headers import read_header
 from stss.images.read_write import read_channels, write_channels
 from stss.sequence.profiles import load_profile
@@ -123,10 +123,16 @@ def test_half_rate_g_buffers_are_said_first(write_frames):
     assert "no nov and no camera" in report.findings[1].text
 
 
-def test_colour_at_odd_frames(write_frames):
-    report = check(write_frames([1, 2, 3, 4], rendered={1, 2, 4}), SequenceOptions("stss"))
+@pytest.mark.parametrize(
+    ("rendered", "own"), [((1, 2, 4), ""), ((1, 2, 3, 5), ""), ((1, 2), ""), ((1, 2, 3), "1, 3, 5"), ((4, 5, 6, 7), "1, 3, 5")]
+)
+def test_colour_at_odd_frames(write_frames, rendered, own):
+    """A recorder at half rate counts the frames that it writes: the first half of all numbers."""
+    report = check(write_frames(range(1, 8), rendered=rendered, size=(16, 24)), SequenceOptions("stss"))
     warnings = [text for text in texts(report, "warning") if text.startswith("colour: expected every frame or every second")]
     assert len(warnings) == 1
+    said = f"; if they are numbered one by one at half rate, give each the number of its display frame: {own}, ..."
+    assert warnings[0].partition("; if")[1:] == (("; if", said[4:]) if own else ("", ""))
 
 
 @pytest.mark.parametrize(
@@ -236,6 +242,26 @@ def test_values(write_frames, changes, expected):
     for level, text in expected:
         assert any(line.startswith(text) for line in texts(report, level)), (text, report.findings)
     assert report.status == (2 if any(level == "error" for level, _ in expected) else 1)
+
+
+def test_json_has_no_infinity():
+    """A background's motion may be off by one; programs that read strict JSON would stop."""
+    text = CheckReport((), {"background": {"error": float("inf")}, "ratios": [1.5, float("nan")]}).to_json()
+    table = json.loads(text, parse_constant=pytest.fail)
+    assert (table["background"], table["ratios"]) == ({"error": "inf"}, [1.5, "nan"])
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_positions_that_are_no_numbers_are_a_warning(write_frames, value):
+    """Motion too; nothing on the way prints a warning of NumPy's."""
+
+    def change(number, channels):
+        return channels | {name: value * np.ones((48, 64)) for name in ("motion.X", "motion.Y", "position.X")}
+
+    report = check(write_frames([1, 2, 3], change=change), SequenceOptions("stss"))
+    assert any(
+        line.startswith("position: 9216 non-finite values, first in frame 1; taken as") for line in texts(report, "warning")
+    )
 
 
 def test_a_frame_that_a_farm_left_black_is_named(write_frames):

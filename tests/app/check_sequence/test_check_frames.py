@@ -206,3 +206,29 @@ def test_a_motion_is_judged_where_each_choice_leads_into_the_frame():
     frame = stss.Buffers(1, None, motion, three, one + 1, three, one, one, three, one, one)
     before = replace(frame, number=0, base_color=random.random(three.shape, np.float32))
     assert judge_motion([(before, frame)]).pixels == (height - 2 * far) * (width - 2 * far)
+
+
+def orthographic(number, *, size=(48, 80)):
+    """A field of hills below a camera without perspective that slides past it; a pixel covers 2 cm."""
+    y, x = np.mgrid[: size[0], : size[1]].astype(float)
+    u, v = x + 1.5 * number, y + 0.5 * number
+    depth = 200 + 20 * np.sin(u / 9) + 15 * np.cos(v / 7)
+    normal = np.stack([10 / 9 * np.cos(u / 9), -15 / 14 * np.sin(v / 7), -np.ones(size)], axis=-1)
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    base = 0.5 + 0.3 * np.sin(u / 3)[..., None] * [1, 0.5, 0.2] + 0.1 * np.cos(v / 2)[..., None]
+    planes = {
+        "color": base * (0.2 - 0.8 * normal[..., 2:]),
+        "motion": np.full((*size, 2), (1.5, 0.5)),
+        "normal": normal,
+        "depth": depth,
+    }
+    planes |= {"position": np.stack([2 * u, 2 * v, depth], axis=-1), "nov": -normal[..., 2], "base_color": base}
+    planes |= {"stencil": 0 * u, "roughness": 0.5 + 0 * u, "metallic": 0 * u}
+    return stss.Buffers(number, **{name: np.float32(plane) for name, plane in planes.items()})
+
+
+def test_an_orthographic_camera_has_right_depths():
+    """Its positions show one distance for all; noise in it was taken for depths that fall."""
+    rows = [orthographic(number) for number in NUMBERS]
+    assert not warnings_of(rows)
+    assert any("motion: seems" in text for text in warnings_of(replace(row, motion=-row.motion) for row in rows))

@@ -159,6 +159,14 @@ def test_frames_of_a_longer_run_are_named(changeable, tmp_path):
     assert "earlier run" not in require_success(call("run", changeable, "-o", out, *PLAIN, "--resume", "--frames", "0:1")).stderr
 
 
+def test_an_option_s_old_name_is_one_line(frames, plain, tmp_path):
+    """``hdr`` gives the files of the default."""
+    result = require_success(stss("run", frames, "-o", tmp_path / "out", *PLAIN, "--frames", "0:3", "--transfer", "hdr"))
+    (line,) = (line for line in result.stderr.splitlines() if "hdr" in line)
+    assert line.startswith("warning: --transfer hdr is gone: srgb carries highlights past the network")
+    assert frames_of(tmp_path / "out").items() <= frames_of(plain).items()
+
+
 def test_png_is_display_referred(frames, plain, tmp_path):
     require_success(stss("run", frames, "-o", tmp_path / "png", "--format", "png", "--frames", "4:4", *PLAIN))
     linear = read_rgb(plain / "frame.0004.exr")

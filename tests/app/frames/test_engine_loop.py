@@ -8,8 +8,9 @@ from scipy.ndimage import binary_erosion
 
 import stss
 from conformance.scenes import SCENES, render
+from stss.frames.backends import ReferenceBackend
 from stss.frames.output import choose_rendered
-from stss_ground.errors import InputError
+from stss_ground.errors import DeviceError, InputError
 
 SIZE = 16, 24
 
@@ -229,3 +230,26 @@ def test_conventions_of_an_engine():
 def test_which_frames_count_as_rendered(has_color, cuts, expected):
     """The parity is that of the first frame of each shot; an extra frame at a cut is used."""
     assert choose_rendered(range(3, 9), frozenset(has_color), None, cuts) == expected
+
+
+@pytest.mark.parametrize("at", [1, 5, 8])
+@pytest.mark.parametrize("error", [KeyboardInterrupt, DeviceError])
+def test_a_call_that_failed_may_be_made_again(monkeypatch, at, error):
+    """Ctrl-C in a notebook, or a device that is out of memory for a moment: the history stays, and the frame is not in it twice."""
+    expected = [output.image for output in engine(accumulate=True)(frames(9))]
+    loop, images, right = engine(accumulate=True), [], ReferenceBackend.frame
+    failing = []
+
+    def fail(*arguments):
+        if failing:
+            raise failing.pop()
+        return right(*arguments)
+
+    monkeypatch.setattr(ReferenceBackend, "frame", fail)
+    for buffers in frames(9):
+        if buffers.number == at:
+            failing.append(error("now"))
+            with pytest.raises(error, match="now"):
+                loop.push(buffers)
+        images.append(loop.push(buffers).image)
+    np.testing.assert_array_equal(images, expected)

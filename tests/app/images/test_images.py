@@ -326,3 +326,41 @@ def test_half_does_not_overflow(tmp_path):
     images.write_rgb(tmp_path / "a.exr", picture)
     assert images.read_header(tmp_path / "a.exr").formats == {"R": "float", "G": "half", "B": "float"}
     np.testing.assert_array_equal(images.read_rgb(tmp_path / "a.exr"), picture)
+
+
+def write_with_fog(path, *names):
+    """Parts of these names, of which OpenImageIO writes flat ones alone: "fog" is made deep in the header."""
+    pixels = np.full((3, 4, 3), 0.25, np.float32)
+    write_parts(
+        path, *((pixels, ("R", "G", "B"), {"oiio:subimagename": ("string", n), "compression": ("string", "zips")}) for n in names)
+    )
+    data = bytearray(path.read_bytes())
+    data[5] |= 0x08  # the version's flag for files with deep parts
+    at = data.index(b"\3\0\0\0fog")
+    for old, new in (
+        (b"\r\0\0\0scanlineimage", b"\x0c\0\0\0deepscanline"),
+        (b"\3\0\0\0fog", b"\4\0\0\0fog2"),
+    ):  # as long as before
+        place = data.index(old, at)
+        data[place : place + len(old)] = new
+    path.write_bytes(data)
+
+
+@pytest.mark.parametrize("names", [("flat", "fog"), ("fog", "flat")], ids=" ".join)
+def test_a_deep_part_beside_flat_ones_is_passed_over(tmp_path, names):
+    """Nothing here reads the depths of several surfaces in one pixel."""
+    write_with_fog(tmp_path / "a.exr", *names)
+    assert read_header(tmp_path / "a.exr").channels == ("R", "G", "B")
+    assert (images.read_rgb(tmp_path / "a.exr") == 0.25).all()
+
+
+def test_a_file_that_is_deep_alone_is_refused(tmp_path):
+    spec, deep = oiio.ImageSpec(4, 3, 1, "float"), oiio.DeepData()
+    spec.deep = True
+    deep.init(12, 1, (oiio.TypeDesc("float"),), ("Z",))
+    output = oiio.ImageOutput.create(str(tmp_path / "a.exr"))
+    assert output.open(str(tmp_path / "a.exr"), spec)
+    assert output.write_deep_image(deep)
+    output.close()
+    with pytest.raises(InputError, match=r"a\.exr: deep image; expected flat channels"):
+        read_header(tmp_path / "a.exr")

@@ -95,9 +95,24 @@ def test_a_folder_of_pictures_is_told(tmp_path):
 
 def test_a_folder_of_folders_is_told(tmp_path):
     """One for each frame, as some farms leave them, or the folder above."""
-    (tmp_path / "0001").mkdir()
-    (tmp_path / "0001" / "beauty.exr").touch()
+    for name in ("0001", "0002", "0003"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "beauty.exr").touch()
     with pytest.raises(InputError, match=r"no frames; .*; its folder 0001 has EXR files: give that one, or put all frames"):
+        find_frames(tmp_path, [""])
+
+
+def test_a_folder_for_each_pass_is_told(tmp_path):
+    """As compositors' nodes and render elements leave them."""
+    for name in ("beauty", "depth", "normal"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "0001.exr").touch()
+    with pytest.raises(
+        InputError, match=r"; its folders beauty, depth, normal have frames of .*, beauty\.0001\.exr, and say --profile"
+    ):
+        find_frames(tmp_path, [""])
+    (tmp_path / "depth" / "0001.exr").rename(tmp_path / "depth" / "0002.exr")
+    with pytest.raises(InputError, match="; its folder beauty has EXR files"):
         find_frames(tmp_path, [""])
 
 
