@@ -178,7 +178,8 @@ class Sequence:
         motion, background = buffers.motion, ~np.isfinite(buffers.depth)
         if self.static == "camera":
             motion = np.where(moves[..., None], motion, static_motion(before, now, buffers.position))
-        motion = np.where(background[..., None], background_motion(before, now, self.size), motion)
+        if background.any():
+            motion = np.where(background[..., None], background_motion(before, now, self.size), motion)
         return replace(buffers, motion=motion)
 
     def _projection(self, number: int, buffers: Buffers | None = None) -> Projection | None:
