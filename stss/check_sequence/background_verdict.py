@@ -10,7 +10,8 @@ import numpy as np
 
 from stss.check_sequence.value_statistics import Line
 from stss.frames.buffers import Buffers
-from stss_ref.arrays import Image
+from stss.sequence.background import background_motion
+from stss.sequence.projection import Projection
 
 OFF = 0.25
 """Pixels: the largest median error of the background's motion without a warning."""
@@ -48,16 +49,19 @@ class BackgroundVerdict:
         ]
 
 
-def measure_background(motion: Image, now: Buffers) -> list[BackgroundVerdict]:
-    """The facts of one frame, whose background should have this ``motion`` (H, W, 2); none where too little of it is seen."""
-    background = ~np.isfinite(now.depth) & np.isfinite(motion).all(axis=-1)
-    if background.sum() < MIN_PIXELS:
+def measure_background(before: Projection, current: Projection, now: Buffers) -> list[BackgroundVerdict]:
+    """The facts of one frame, by its projection and that of the frame before; none where too little background is seen."""
+    background = ~np.isfinite(now.depth)
+    motion = background_motion(before, current, np.argwhere(background)[:, ::-1])
+    is_seen = np.isfinite(motion).all(axis=-1)
+    if is_seen.sum() < MIN_PIXELS:
         return []
-    own = np.where(np.isfinite(now.motion), now.motion, np.inf)[background].astype(np.float64)
+    right, own = motion[is_seen], now.motion[background][is_seen].astype(np.float64)
+    own = np.where(np.isfinite(own), own, np.inf)
     with np.errstate(invalid="ignore"):
-        errors = np.linalg.norm(own - motion[background], axis=-1)
-    turns = float(np.median(np.linalg.norm(motion[background], axis=-1)))
-    return [BackgroundVerdict(float(background.mean()), turns, float(np.median(errors)), float(np.abs(own).max()))]
+        errors = np.linalg.norm(own - right, axis=-1)
+    turns = float(np.median(np.linalg.norm(right, axis=-1)))
+    return [BackgroundVerdict(is_seen.sum() / background.size, turns, float(np.median(errors)), float(np.abs(own).max()))]
 
 
 def common_verdict(frames: Sequence[BackgroundVerdict]) -> BackgroundVerdict | None:

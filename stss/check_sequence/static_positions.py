@@ -16,7 +16,7 @@ from stss.check_sequence.normal_directions import NormalVerdict, judge_normals
 from stss.check_sequence.value_statistics import Line
 from stss.frames.buffers import Buffers
 from stss.frames.static_holes import static_holes
-from stss.sequence.background import LOOSE, background_motion, static_surfaces
+from stss.sequence.background import LOOSE, static_surfaces
 from stss.sequence.projection import Projection, solve_projection
 from stss_ref.arrays import Array
 from stss_ref.holes import holes
@@ -210,7 +210,7 @@ def judge_static_geometry(pairs: Iterable[tuple[Buffers, Buffers]]) -> StaticGeo
         if earlier is None or current is None:
             continue
         if len(earlier.axes) == len(current.axes) == 3 and max(earlier.residual, current.residual) <= LOOSE:
-            sky += measure_background(background_motion(earlier, current, size), now)
+            sky += measure_background(earlier, current, now)
         static = still & static_surfaces(now)
         there, away = earlier.project(now.position[static].astype(np.float64))
         visible = (away > 0) & (there >= 0).all(axis=-1) & (there <= (size[1] - 1, size[0] - 1)).all(axis=-1)

@@ -98,19 +98,17 @@ def sequence_options(command: Command) -> Command:
         ),
         click.option("--metallic", type=Number(0, 1), help="A constant, for files without this buffer."),
         click.option("--roughness", type=Number(0, 1), help="A constant, for files without this buffer."),
-        click.option(
-            "--background",
-            type=click.Choice(MOTION_SOURCES),
-            default="files",
-            show_default=True,
-            help="Source of the background's motion: camera computes it, for files without it.",
-        ),
-        click.option(
-            "--static",
-            type=click.Choice(MOTION_SOURCES),
-            default="files",
-            show_default=True,
-            help="Source of the motion of what has stencil 0, and of the background: camera computes it, for files without motion.",
+        *(
+            click.option(
+                f"--{name}", type=click.Choice(MOTION_SOURCES), default="files", show_default=True, help=f"Source of {text}."
+            )
+            for name, text in (
+                ("background", "the background's motion: camera computes it, for files without it"),
+                (
+                    "static",
+                    "the motion of what has stencil 0, and of the background: camera computes it, for files without motion",
+                ),
+            )
         ),
         click.option(
             "--non-finite",

@@ -6,11 +6,12 @@ from __future__ import annotations
 from typing import Literal, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stss.frames.buffers import Buffers
 from stss.images.windows import PixelWindow
 from stss.sequence.projection import Projection, solve_projection
-from stss_ref.arrays import Array, Image, Mask
+from stss_ref.arrays import Array, Mask
 
 MotionSource = Literal["files", "camera"]
 MOTION_SOURCES: tuple[MotionSource, ...] = get_args(MotionSource)
@@ -47,7 +48,7 @@ def projection_of_table(far: Array, place: Array, display: PixelWindow, canvas: 
     return Projection(matrix, np.eye(3), place, middle, width / 2, 0.0)
 
 
-def background_motion(before: Projection, now: Projection, size: tuple[int, int]) -> Image:
+def background_motion(before: Projection, now: Projection, pixels: NDArray[np.intp]) -> Array:
     """Motion of points at infinity, from the camera's rotation; its path does not matter.
 
     A point far along ``d`` is seen at ``P d``, with the projection's matrix without its last column. So the previous frame shows at
@@ -58,37 +59,33 @@ def background_motion(before: Projection, now: Projection, size: tuple[int, int]
     Args:
         before: of the previous frame.
         now: of this frame.
-        size: (H, W) of both.
+        pixels: (N, 2) x, y.
 
     Returns:
-        (H, W, 2) float32; pixels, current -> previous, x right, y down; NaN where it was behind the camera.
+        (N, 2) float32; pixels, current -> previous, x right, y down; NaN where it was behind the camera.
     """
-    y, x = np.mgrid[: size[0], : size[1]].astype(np.float64)
-    here = np.stack([x, y], axis=-1)
-    screen = (here.reshape(-1, 2) - now.middle) / now.half
+    screen = (pixels - now.middle) / now.half
     direction = np.linalg.solve(now.far, np.concatenate([screen, np.ones((len(screen), 1))], axis=1).T)
     u, v, w = before.far @ direction
     with np.errstate(divide="ignore", invalid="ignore"):
         there = np.stack([u / w, v / w], axis=-1) * before.half + before.middle
     there[~(w > 0)] = np.nan
-    return (there.reshape(here.shape) - here).astype(np.float32)
+    return (there - pixels).astype(np.float32)
 
 
-def static_motion(before: Projection, now: Projection, position: Image) -> Image:
-    """Motion of geometry at rest, from the camera alone: where the previous frame shows its positions.
+def static_motion(before: Projection, now: Projection, places: Array) -> Array:
+    """Motion of geometry at rest, from the camera alone: where the previous frame shows its places.
 
-    Both frames are asked for the place of a position, so that a position that is not that of its pixel's centre, such as the mean of
-    samples, does no harm.
+    Both frames are asked, so that a place that is not that of its pixel's centre, such as the mean of samples, does no harm.
 
     Args:
         before: of the previous frame.
         now: of this frame.
-        position: (H, W, 3) world position in cm.
+        places: (N, 3) world positions in cm.
 
     Returns:
-        (H, W, 2) float32; pixels, current -> previous, x right, y down; NaN where it was behind the camera or has no position.
+        (N, 2) float32; pixels, current -> previous, x right, y down; NaN where it was behind the camera or has no position.
     """
-    places = position.reshape(-1, 3).astype(np.float64)
-    (there, away), (here, _) = before.project(places), now.project(places)
+    (there, away), (here, _) = before.project(places.astype(np.float64)), now.project(places.astype(np.float64))
     there[~(away > 0)] = np.nan
-    return (there - here).astype(np.float32).reshape(*position.shape[:2], 2)
+    return (there - here).astype(np.float32)

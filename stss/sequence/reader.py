@@ -14,6 +14,7 @@ import numpy as np
 
 from stss.frames.buffers import Buffers
 from stss.frames.display_frame import WINDOW
+from stss.images.color import BLOCK
 from stss.images.headers import MAX_BYTES, MAX_SIDE, Header, read_header
 from stss.images.windows import PixelWindow, union
 from stss.sequence.background import MotionSource, background_motion, projection_of, projection_of_table, static_motion
@@ -26,6 +27,7 @@ from stss.sequence.projection import Projection
 from stss.sequence.raw_frame import CARRIED, UNIT_RANGE, NonFinite, RawFrame, read_stored, settle_all_finite, settle_non_finite
 from stss.sequence.solve_camera import MIN_PIXELS, solve_camera
 from stss_ground.arguments import listing, path_of, require_choice, require_kind, suggest
+from stss_ground.cores import for_blocks
 from stss_ground.errors import InputError
 from stss_ground.progress import Track
 from stss_ref.arrays import Array, Mask
@@ -148,19 +150,19 @@ class Sequence:
         if number - 1 in self.frames and (
             self.static == "camera" or (self.background == "camera" and np.isinf(buffers.depth).any())
         ):
-            buffers = self._with_motion(buffers)
+            self._set_motion(buffers)
         size = sum(plane.nbytes for plane in vars(buffers).values() if isinstance(plane, np.ndarray))
         if size <= self.keeps:
             self._kept[key] = buffers
             self.keeps -= size
         return buffers
 
-    def _with_motion(self, buffers: Buffers) -> Buffers:
-        """The frame with the motion that the camera gives; unchanged if its predecessor, which no output then uses, cannot be read."""
+    def _set_motion(self, buffers: Buffers) -> None:
+        """Set the motion that the camera gives; leave it if the frame before, without which no output uses it, cannot be read."""
         try:
             before = self._projection(buffers.number - 1)
         except InputError:
-            return buffers
+            return
         now, moves = self._projection(buffers.number, buffers), buffers.stencil != 0
         option = "--background camera" if self.static == "files" else "--static camera"
         if self.static == "camera" and "motion" not in self._frame(buffers.number).sources and moves.any():
@@ -175,12 +177,16 @@ class Sequence:
                 "camera: too few, or all in one plane; let static geometry off the plane be seen, give a --camera table with its "
                 "directions, or write the motion into the files"
             )
-        motion, background = buffers.motion, ~np.isfinite(buffers.depth)
-        if self.static == "camera":
-            motion = np.where(moves[..., None], motion, static_motion(before, now, buffers.position))
-        if background.any():
-            motion = np.where(background[..., None], background_motion(before, now, self.size), motion)
-        return replace(buffers, motion=motion)
+
+        def fill(rows: slice) -> None:
+            background = ~np.isfinite(buffers.depth[rows])
+            y, x = np.nonzero(background)
+            buffers.motion[rows][background] = background_motion(before, now, np.stack([x, y + rows.start], axis=-1))
+            if self.static == "camera":
+                rests = ~(background | moves[rows])
+                buffers.motion[rows][rests] = static_motion(before, now, buffers.position[rows][rests])
+
+        for_blocks(self.size[0], max(1, BLOCK // self.size[1]), fill)
 
     def _projection(self, number: int, buffers: Buffers | None = None) -> Projection | None:
         """A frame's projection, of the camera's table if it has one; the last few are kept."""
