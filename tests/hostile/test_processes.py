@@ -149,7 +149,14 @@ def test_the_signal_of_podman_stop_ends_the_first_process_of_a_container(frames,
     alone = ("unshare", "--pid", "--fork", "--kill-child")
     if not shutil.which("unshare") or subprocess.run([*alone, "true"], check=False, capture_output=True).returncode:
         pytest.skip("no namespace of processes: unshare is not there, or not allowed")
-    words = [*alone, sys.executable, "-m", "stss", "run", frames, "-o", tmp_path / "out", "--backend", "ref"]
+    program = """
+import time
+from stss.cli.main import main
+from stss.frames.backends import ReferenceBackend
+ReferenceBackend.compute = lambda *_: time.sleep(60)
+main()
+"""
+    words = [*alone, sys.executable, "-c", program, "run", frames, "-o", tmp_path / "out", "--backend", "ref"]
     with subprocess.Popen(words, stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr.readline().startswith("profile: ")
         first = int(Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text())
