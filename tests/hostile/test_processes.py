@@ -150,10 +150,11 @@ def test_the_signal_of_podman_stop_ends_the_first_process_of_a_container(frames,
     if not shutil.which("unshare") or subprocess.run([*alone, "true"], check=False, capture_output=True).returncode:
         pytest.skip("no namespace of processes: unshare is not there, or not allowed")
     program = """
-import time
+import signal, time
 from stss.cli.main import main
 from stss.frames.backends import ReferenceBackend
 ReferenceBackend.compute = lambda *_: time.sleep(60)
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores it
 main()
 """
     words = [*alone, sys.executable, "-c", program, "run", frames, "-o", tmp_path / "out", "--backend", "ref"]
