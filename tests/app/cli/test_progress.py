@@ -73,6 +73,24 @@ def test_a_log_file_says_soon_what_a_command_waits_for(monkeypatch):
     assert lines_of(console) == ["0 of 10 frames in 0:00:00: building kernels"]
 
 
+def test_a_log_file_has_a_line_after_ten_seconds_and_then_each_minute(monkeypatch):
+    """The waits themselves: a test that waits takes a minute."""
+    waits = []
+
+    class Ended:
+        def wait(self, seconds):
+            waits.append(seconds)
+            return len(waits) > 2
+
+        def set(self):
+            """Nothing: three waits end it."""
+
+    monkeypatch.setattr(progress, "Event", Ended)
+    with show_progress(Console(file=io.StringIO()), 10):
+        pass
+    assert waits == [10, 60, 60]
+
+
 def test_a_step_is_done_when_the_next_begins():
     console = Console(file=io.StringIO(), force_terminal=True, width=120)
     with show_steps(console, 2) as begin:

@@ -88,6 +88,19 @@ def test_wrong_options_are_refused(option):
         stss.Supersampler(**{"weights": "bilinear", "backend": "ref", **option})
 
 
+def test_an_output_sees_six_frames():
+    """The network reads three rendered frames; the third of an extrapolated one lies five frames back."""
+    seen = []
+
+    class Backend(ReferenceBackend):
+        def compute(self, window, steps):
+            seen.append(([frame.number for frame in window], steps))
+            return super().compute(window, steps)
+
+    list(stss.Supersampler(backend=Backend(stss.load_weights("bilinear").weights))(frames(8)))
+    assert seen[-2:] == [([1, 2, 3, 4, 5, 6], (0, 2, 4)), ([2, 3, 4, 5, 6, 7], (1, 3, 5))]
+
+
 def test_nothing_crosses_a_cut():
     """After a cut the outputs are those of a loop that begins there; a first frame that was not rendered has none."""
     shots = [*frames(5), *(replace(b, cut=b.number == 5) for b in frames(4, first=5))]
