@@ -8,6 +8,7 @@ import numpy as np
 from stss.frames.display_frame import DisplayFrame, make_display_frame, same_surface
 from stss.images.color import transfer
 from stss.images.resample import enlarge
+from stss.sequence.background import CameraError
 from stss.sequence.reader import Sequence
 from stss_ref.arrays import Image, Mask
 from stss_ref.sample import follow, leads_inside
@@ -45,19 +46,22 @@ class Follower:
         stand for four each.
 
         Returns:
-            8-bit levels; None where nothing could be followed, or the sequence lacks one of the two frames.
+            8-bit levels; None where nothing could be followed, or the sequence lacks one of the two frames or their cameras.
         """
         if not {number - 1, number} <= self._sequence.frames.keys():
             return None
         last = self._last
-        earlier, now = last if last is not None and last.number == number - 1 else self._load(number - 1), self._load(number)
-        self._last = now
+        earlier = last if last is not None and last.number == number - 1 else self._load(number - 1, cut=True)
+        try:
+            self._last = now = self._load(number)
+        except CameraError:  # of a frame before a cut, say
+            return None
         motion, followed = display_motion(earlier, now)
         d, d_true = ((new - warp(old, motion)[0])[followed] for old, new in zip(before, frame, strict=True))
         return 255 * float(np.abs(d - d_true).mean(dtype=np.float64)) if d.size else None
 
-    def _load(self, number: int) -> DisplayFrame:
-        buffers = self._sequence.crop_to_display(self._sequence.load(number, color=False))
+    def _load(self, number: int, *, cut: bool = False) -> DisplayFrame:
+        buffers = self._sequence.crop_to_display(self._sequence.load(number, color=False, cut=cut))
         return make_display_frame(buffers, transfer("none"), self._sequence.profile.depth_normalisation)
 
 

@@ -31,6 +31,8 @@ class Window:
     def up_to(self, number: int, *, keep_going: bool) -> list[DisplayFrame]:
         """The unbroken run of readable frames that ends in ``number``, oldest first, as many as the backend reads.
 
+        ``number`` grows from call to call.
+
         Raises:
             InputError: ``number`` cannot be read, or, unless ``keep_going``, one of the frames before it.
         """
@@ -59,7 +61,9 @@ class Window:
         if number not in self._frames:
             try:
                 options = self._options
-                buffers = self._sequence.load(number, color=number in self._rendered, also=options.also)
+                # Nothing reads the motion to a frame that is not in this window, nor in a later one.
+                begins = not isinstance(self._frames.get(number - 1), DisplayFrame)
+                buffers = self._sequence.load(number, color=number in self._rendered, also=options.also, cut=begins)
                 self._frames[number] = make_display_frame(buffers, self._curve, options.depth, copy=False)
             except InputError as error:
                 self._frames[number] = error

@@ -69,7 +69,7 @@ def judge_sampling(sequence: Sequence) -> Sampling:
     limits = {(apart, share)}
     for number in numbers:
         try:
-            buffers = sequence.load(number)
+            buffers = sequence.load(number, cut=True)  # motion says nothing here
         except InputError:
             continue
         source = sequence.frames[number].sources["normal"]

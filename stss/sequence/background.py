@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from stss.frames.buffers import Buffers
 from stss.images.windows import PixelWindow
 from stss.sequence.projection import Projection, solve_projection
+from stss_ground.errors import InputError
 from stss_ref.arrays import Array, Mask
 
 MotionSource = Literal["files", "camera"]
@@ -21,6 +22,10 @@ LOOSE = 0.25
 WITHIN = 0.5
 """Pixels: if no projection fits positions better than this, they do not give the camera. Samples anywhere in their pixels are off by 0.4 in
 the median, and determine the camera as well."""
+
+
+class CameraError(InputError):
+    """The camera that should give a frame its motion is not known."""
 
 
 def static_surfaces(frame: Buffers) -> Mask:

@@ -17,7 +17,14 @@ from stss.frames.display_frame import WINDOW
 from stss.images.color import BLOCK
 from stss.images.headers import MAX_BYTES, MAX_SIDE, Header, read_header
 from stss.images.windows import PixelWindow, union
-from stss.sequence.background import MotionSource, background_motion, projection_of, projection_of_table, static_motion
+from stss.sequence.background import (
+    CameraError,
+    MotionSource,
+    background_motion,
+    projection_of,
+    projection_of_table,
+    static_motion,
+)
 from stss.sequence.camera import CameraPose, camera_of, read_cameras
 from stss.sequence.channels import MissingBuffersError, Source, find_sources, layers_of, view_of
 from stss.sequence.conventions import linear_depth, require_depth, to_specification
@@ -127,26 +134,29 @@ class Sequence:
         selection.frames = {number: frame for number, frame in self.frames.items() if number in numbers or frame is first}
         return selection
 
-    def load(self, number: int, *, color: bool = True, also: Collection[str] = ()) -> Buffers:
+    def load(self, number: int, *, color: bool = True, also: Collection[str] = (), cut: bool = False) -> Buffers:
         """Read one display frame.
 
         Args:
             number: the display frame.
             color: False: leave the colour out, as if the frame had not been rendered.
             also: names of layers or channels that are warped and enlarged with the colour, like its alpha.
+            cut: True for the first frame of a shot. No output uses its motion, so the camera need not give that.
 
         Returns:
             The frame in the conventions of spec section 0.
 
         Raises:
             InputError: the frame or a buffer of it is not there, a file cannot be read, or a value is not finite where
-                it must be.
+                it must be; `CameraError`: the camera that should give its motion is not known.
         """
         require_kind("number", number, (int, np.integer), "a frame's number")
         key = number, color, *also
         if key in self._kept:
-            return self._kept[key]
+            return replace(self._kept[key], cut=True) if cut else self._kept[key]
         buffers = self._load(number, color=color, also=also)
+        if cut:
+            return replace(buffers, cut=True)
         if number - 1 in self.frames and (
             self.static == "camera" or (self.background == "camera" and np.isinf(buffers.depth).any())
         ):
@@ -172,10 +182,10 @@ class Sequence:
             )
         if before is None or now is None:
             number = buffers.number - (now is not None)
-            raise InputError(
+            raise CameraError(
                 f"{self._where(buffers.number)}: {option}: positions of static geometry in frame {number} do not give the "
                 "camera: too few, or all in one plane; let static geometry off the plane be seen, give a --camera table with its "
-                "directions, or write the motion into the files"
+                f"directions, or write the motion into the files; if a shot begins with frame {buffers.number}, name it in --cuts"
             )
 
         def fill(rows: slice) -> None:

@@ -10,6 +10,7 @@ from stss.check_sequence.report import check
 from stss.demo import demo_path, frame_channels
 from stss.images.headers import read_header
 from stss.images.read_write import read_channels, write_channels
+from stss.quality.changes import Follower
 from stss.sequence import reader
 from stss.sequence.background import projection_of, static_motion
 from stss.sequence.camera import FAR, PLACE
@@ -212,6 +213,49 @@ def test_positions_may_be_sampled_anywhere_in_their_pixels(tmp_path):
     for number in range(1, FRAMES):
         motion, hit = right[number]
         assert np.median(np.abs(still.load(number).motion - motion)[hit]) < RIGHT
+
+
+def hide(path):
+    """Nothing is hit any more: no position tells where the camera is."""
+    planes = read_channels(path, read_header(path).channels)
+    hidden = {name: 0 * plane for name, plane in planes.items()} | {"depth.Z": np.full_like(planes["depth.Z"], 1e9)}
+    write_channels(path, hidden)
+
+
+@pytest.mark.parametrize("motion", ["--static", "--background"])
+def test_a_camera_that_no_output_needs_may_be_unknown(tmp_path, motion):
+    """A black frame before a cut, which ends a shot: the shot behind it has the bits that it has alone."""
+    folder = write(tmp_path / "in", "pan")
+    hide(demo_path(folder, 1))
+    run = ("run", folder, *PLAIN, motion, "camera", "-o")
+    result = call(*run, tmp_path / "out")
+    assert result.returncode == 2
+    assert f"demo.0001.exr: {motion} camera: positions of static geometry in frame 1 do not give the camera" in result.stderr
+    assert "if a shot begins with frame 1, name it in --cuts" in result.stderr
+    result = call(*run, tmp_path / "cut", "--cuts", "2", "--frames", "2:4")
+    assert result.returncode == 0, result.stderr
+    for number in (0, 1):
+        demo_path(folder, number).unlink()
+    result = call(*run, tmp_path / "alone")
+    assert result.returncode == 0, result.stderr
+    for number in (2, 3, 4):
+        name = f"frame.{number:04d}.exr"
+        assert np.array_equal(*(read_channels(tmp_path / of / name, tuple("RGB"))["G"] for of in ("cut", "alone")))
+
+
+def test_a_first_frame_is_read_without_the_one_before(tmp_path):
+    folder = write_without_motion(tmp_path / "in", "pan")
+    hide(demo_path(folder, 1))
+    sequence = open_sequence(folder, "stss", static="camera")
+    frame = sequence.load(2, cut=True)
+    assert frame.cut
+    assert not frame.motion.any()
+    with pytest.raises(InputError, match="in frame 1 do not give the camera"):
+        sequence.load(2)
+    assert not sequence.load(4).cut
+    images = 2 * (np.zeros((2 * SIZE[0], 2 * SIZE[1], 3), np.float32),)
+    follower = Follower(sequence)
+    assert [follower.flicker(number, images, images) for number in (2, 3)] == [None, 0]
 
 
 def test_what_moves_by_itself_keeps_the_motion_of_its_files(tmp_path):
