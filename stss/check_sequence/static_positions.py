@@ -13,6 +13,7 @@ from stss.check_sequence.background_verdict import BackgroundVerdict, common_ver
 from stss.check_sequence.jitter import ALIKE, Jitter, common_shift
 from stss.check_sequence.late_planes import LatePlanes, late_lines
 from stss.check_sequence.normal_directions import NormalVerdict, judge_normals
+from stss.check_sequence.sky_means import SkyMeans, sky_lines
 from stss.check_sequence.value_statistics import Line
 from stss.frames.buffers import Buffers
 from stss.frames.static_holes import static_holes
@@ -138,6 +139,7 @@ class StaticGeometry:
         apart: frames whose motion does not lead to the frame before, though that of the others does.
         late: the planes that are those of the previous frame.
         background: the verdict on it; None where there is none, or the scene is flat.
+        sky_means: share of the static pixels along it whose position and depth are means with its 0.
     """
 
     positions: StaticVerdict | None
@@ -146,6 +148,7 @@ class StaticGeometry:
     apart: tuple[int, ...]
     late: tuple[str, ...]
     background: BackgroundVerdict | None
+    sky_means: float
 
     @property
     def blames_motion(self) -> bool:
@@ -182,6 +185,7 @@ class StaticGeometry:
             *([("warning", text)] if self.apart else []),
             *(line for line in lines if not line[1].startswith(self.late)),  # a late plane is off, but by less
             *([] if self.background is None or not self._has_motion else self.background.lines()),
+            *sky_lines(self.sky_means),
             *(("warning", text) for text in self.jitter.lines),
         ]
 
@@ -195,7 +199,7 @@ def judge_static_geometry(pairs: Iterable[tuple[Buffers, Buffers]]) -> StaticGeo
     repeats: list[int] = []
     errors: dict[int, float] = {}
     sky: list[BackgroundVerdict] = []
-    late = LatePlanes()
+    late, sky_means = LatePlanes(), SkyMeans()
     size, mirrored, relative = (0, 0), None, True
     for before, now in pairs:
         size = now.size
@@ -211,6 +215,7 @@ def judge_static_geometry(pairs: Iterable[tuple[Buffers, Buffers]]) -> StaticGeo
             continue
         if len(earlier.axes) == len(current.axes) == 3 and max(earlier.residual, current.residual) <= LOOSE:
             sky += measure_background(earlier, current, now)
+            sky_means.add(now, current)
         static = still & static_surfaces(now)
         there, away = earlier.project(now.position[static].astype(np.float64))
         visible = (away > 0) & (there >= 0).all(axis=-1) & (there <= (size[1] - 1, size[0] - 1)).all(axis=-1)
@@ -233,7 +238,13 @@ def judge_static_geometry(pairs: Iterable[tuple[Buffers, Buffers]]) -> StaticGeo
     limit = np.inf if positions is None or not positions.agrees else max(MOVER, 3 * positions.residual)
     apart = tuple(number for number, error in errors.items() if error > limit)
     return StaticGeometry(
-        positions, Jitter(tuple(against), tuple(within)), tuple(repeats), apart, late.names, common_verdict(sky)
+        positions,
+        Jitter(tuple(against), tuple(within)),
+        tuple(repeats),
+        apart,
+        late.names,
+        common_verdict(sky),
+        sky_means.share,
     )
 
 

@@ -310,3 +310,28 @@ def test_mitsuba_needs_no_motion_where_the_camera_alone_moves(tmp_path):
         still = open_sequence(folder, "mitsuba", metallic=0, roughness=0.5, static="camera", camera=camera)
         for number in range(1, FRAMES):
             assert np.abs(still.load(number).motion - right.load(number).motion).max() < RIGHT
+
+
+def write_means(folder, *, of_depth=True, samples=4):
+    """The scene ``flythrough`` as a path tracer writes it: means over the samples of a pixel, of which those that miss count as 0."""
+    folder.mkdir()
+    for number in range(FRAMES):
+        channels = frame_channels(render(SCENES["flythrough"], number, *SIZE), rendered=number % 2 == 0)
+        y, x = (np.mgrid[: samples * SIZE[0], : samples * SIZE[1]] + 0.5) / samples - 0.5
+        seen = look(SCENES["flythrough"], number, x.ravel(), y.ravel(), SIZE)
+        hit = np.isfinite(seen.depth)[:, None]
+        planes = np.where(hit, np.column_stack([seen.position, seen.depth]), 0)
+        mean = planes.reshape(SIZE[0], samples, SIZE[1], samples, 4).mean(axis=(1, 3)).astype(np.float32)
+        for i, name in enumerate(["position.X", "position.Y", "position.Z", "depth.Z"][: 4 if of_depth else 3]):
+            channels[name] = mean[..., i]
+        write_channels(demo_path(folder, number), channels)
+    return folder
+
+
+def test_means_of_surfaces_and_of_nothing_are_told(tmp_path):
+    """As of Mitsuba's AOVs of many samples. Blender's depth is no mean, and nothing can be done about its positions: no warning."""
+    texts = [f.text for f in check(write_means(tmp_path / "means"), SequenceOptions("stss")).findings if f.level == "warning"]
+    (text,) = (text for text in texts if text.startswith("position, depth: "))
+    assert "of the pixels along the background have the mean of a surface and of 0: render them with one sample" in text
+    for folder in (write_means(tmp_path / "blender", of_depth=False), write_means(tmp_path / "centre", samples=1)):
+        assert "along the background" not in " ".join(f.text for f in check(folder, SequenceOptions("stss")).findings)
