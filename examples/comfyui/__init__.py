@@ -59,20 +59,47 @@ class LoadFrames:
                 "background": (list(MOTION_SOURCES), {"tooltip": "camera: for files without its motion, such as Blender's"}),
                 "first": ("INT", {"default": 0, "min": 0, "max": 10**9, "tooltip": "a frame's number; 0: the first there is"}),
                 "count": ("INT", {"default": 16, "min": 1, "max": 10_000, "tooltip": "display frames; 60 MiB each at 960 x 540"}),
-            }
+            },
+            # A workflow of a version without these goes on.
+            "optional": {
+                "static": (list(MOTION_SOURCES), {"tooltip": "camera: for files without motion, where only the camera moves"}),
+                "roughness": ("FLOAT", _constant("roughness")),
+                "metallic": ("FLOAT", _constant("metallic")),
+                "camera": ("STRING", {"default": "", "tooltip": "a CSV file, frame,x,y,z; empty: from the files or positions"}),
+            },
         }
 
     @classmethod
-    def IS_CHANGED(cls, folder: str, profile: str, background: MotionSource, first: int, count: int) -> str:  # noqa: N802
+    def IS_CHANGED(cls, folder: str, profile: str, camera: str = "", **_: object) -> str:  # noqa: N802
         """Another value once a file is another one: the frames are then read again."""
         table = settle_profile(_path(folder), None if profile == "auto" else profile)
         frames = find_frames(_path(folder), table.endings)
         stats = [(n, path.stat()) for n in sorted(frames) for path in frames[n].values()]
+        stats += [(-1, _path(camera).stat())] if camera.strip() else []
         return repr([(n, stat.st_mtime_ns, stat.st_size) for n, stat in stats])  # a copy may keep the time
 
-    def load(self, folder: str, profile: str, background: MotionSource, first: int, count: int) -> tuple[Any, GBuffer]:
+    def load(
+        self,
+        folder: str,
+        profile: str,
+        background: MotionSource,
+        first: int,
+        count: int,
+        static: MotionSource = "files",
+        roughness: float = -1,
+        metallic: float = -1,
+        camera: str = "",
+    ) -> tuple[Any, GBuffer]:
         """Read ``count`` display frames from the first rendered one on; the same ones count as rendered as in ``stss run``."""
-        sequence = stss.open_sequence(_path(folder), None if profile == "auto" else profile, background=background)
+        sequence = stss.open_sequence(
+            _path(folder),
+            None if profile == "auto" else profile,
+            camera=_path(camera) if camera.strip() else None,
+            metallic=None if metallic < 0 else metallic,
+            roughness=None if roughness < 0 else roughness,
+            background=background,
+            static=static,
+        )
         rendered = choose_rendered(sequence.numbers, sequence.rendered, None)
         start = min((n for n in rendered if n >= first), default=None)
         if start is None:
@@ -87,7 +114,7 @@ class LoadFrames:
         encode = transfer("srgb" if sequence.profile.color_domain == "linear" else "none").encode
         colors, frames, step = list[Any](), list[stss.Buffers](), _progress(len(numbers))
         for n in numbers:
-            frame = sequence.crop_to_display(sequence.load(n, color=n in rendered))
+            frame = sequence.crop_to_display(sequence.load(n, color=n in rendered, cut=n == start))
             colors += [] if frame.color is None else [encode(frame.color)]
             frames.append(replace(frame, color=None, carried={}))
             step()
@@ -133,6 +160,11 @@ class Supersample:
             holes[index] = ~output.valid
             step()
         return _tensor(frames), _tensor(holes)
+
+
+def _constant(buffer: str) -> dict[str, Any]:
+    tooltip = f"for files without {buffer}, 0 to 1; -1: from the files"
+    return {"default": -1.0, "min": -1.0, "max": 1.0, "step": 0.05, "tooltip": tooltip}
 
 
 def _path(text: str) -> Path:

@@ -12,11 +12,15 @@ import numpy as np
 import pytest
 
 import stss
+from stss.demo import demo_path
 from stss.images.color import transfer
+from stss.images.headers import read_header
+from stss.images.read_write import read_channels, write_channels
 from stss.images.windows import PixelWindow
 from stss_ground.errors import InputError
 from tests.app.conftest import frame_channels
 from tests.app.images.test_windows import write as write_windows
+from tests.app.sequence.test_background import hide, write_without_motion
 
 PACK = Path(__file__).parents[3] / "examples" / "comfyui" / "__init__.py"
 
@@ -51,13 +55,19 @@ def nodes(monkeypatch):
     return module
 
 
+def all_inputs(node):
+    """Those that a user may leave alone, too."""
+    kinds = node.INPUT_TYPES()
+    return kinds["required"] | kinds.get("optional", {})
+
+
 def call(nodes, name, **inputs):
     """The outputs of a node; its inputs must be those that it declares, its outputs as many as it names."""
     node = nodes.NODE_CLASS_MAPPINGS[name]
-    kinds = node.INPUT_TYPES()["required"]
-    assert kinds.keys() == inputs.keys()
-    for key, (kind, *_) in kinds.items():
-        assert not isinstance(kind, list) or inputs[key] in kind
+    assert node.INPUT_TYPES()["required"].keys() <= inputs.keys() <= all_inputs(node).keys()
+    for key, value in inputs.items():
+        kind = all_inputs(node)[key][0]
+        assert not isinstance(kind, list) or value in kind
     outputs = getattr(node(), node.FUNCTION)(**inputs)
     assert len(outputs) == len(node.RETURN_TYPES) == len(node.RETURN_NAMES)
     return outputs
@@ -93,6 +103,36 @@ def test_the_background_moves_with_the_camera(nodes, demo):
     want = stss.open_sequence(demo / "frames", "stss", background="camera").load(1).motion
     np.testing.assert_array_equal(moves, want)
     assert (moves != stss.open_sequence(demo / "frames", "stss").load(1).motion).any()
+
+
+def test_files_without_motion_and_material(nodes, tmp_path):
+    """As Mitsuba's: the camera gives the motion, the node the constants; a part of a shot needs no camera of the frame before it."""
+    folder = write_without_motion(tmp_path / "in", "pan")
+    for number in range(5):
+        path = demo_path(folder, number)
+        planes = read_channels(path, read_header(path).channels)
+        write_channels(path, {name: plane for name, plane in planes.items() if name not in ("roughness.X", "metallic.X")})
+    options = {"folder": str(folder), "profile": "stss", "background": "files", "static": "camera", "first": 2, "count": 3}
+    with pytest.raises(InputError, match="no roughness"):
+        call(nodes, "StssLoadFrames", **options)
+    constants = {"roughness": 0.5, "metallic": 0.0}
+    want = stss.open_sequence(folder, "stss", static="camera", **constants).load(3)
+    got = call(nodes, "StssLoadFrames", **options, **constants)[1].frames[1]
+    assert np.array_equal(got.motion, want.motion)
+    assert got.motion.any()
+    assert got.roughness.max() == 0.5  # 0 where nothing was hit
+    assert not got.metallic.any()
+    hide(demo_path(folder, 1))
+    again = call(nodes, "StssLoadFrames", **options, **constants)[1].frames[1]
+    assert np.array_equal(again.motion, want.motion)
+    (tmp_path / "camera.csv").write_text("frame,x,y,z\n" + "".join(f"{n},0,0,{n}\n" for n in range(5)))
+    table = {"camera": f'"{tmp_path / "camera.csv"}"'}
+    changed = nodes.NODE_CLASS_MAPPINGS["StssLoadFrames"].IS_CHANGED
+    before = changed(**options, **table)
+    assert before != changed(**options)
+    nov = call(nodes, "StssLoadFrames", **options, **constants, **table)[1].frames[1].nov
+    camera = stss.open_sequence(folder, "stss", static="camera", **constants, camera=tmp_path / "camera.csv")
+    assert np.array_equal(nov, camera.load(3).nov)
 
 
 def test_images_that_other_nodes_made_are_shown(nodes, demo):
@@ -232,8 +272,10 @@ def test_the_workflow_fits_the_nodes(nodes):
     assert len(ours) == 2
     for node in ours:
         kind = nodes.NODE_CLASS_MAPPINGS[node["type"]]
-        inputs = kind.INPUT_TYPES()["required"]
-        widgets = {name: value for name, value in inputs.items() if not str(value[0]).isupper() or value[0] in {"STRING", "INT"}}
+        inputs = all_inputs(kind)
+        widgets = {
+            name: value for name, value in inputs.items() if not str(value[0]).isupper() or value[0] in {"STRING", "INT", "FLOAT"}
+        }
         linked = {name: value[0] for name, value in inputs.items() if name not in widgets}
         assert {slot["name"]: slot["type"] for slot in node.get("inputs", ())} == linked
         assert [(slot["name"], slot["type"]) for slot in node["outputs"]] == list(
