@@ -38,8 +38,18 @@ def tensors(batch: Batch, device: torch.device) -> tuple[Tensor, ...]:
     return tuple(t.contiguous(memory_format=torch.channels_last) if t.ndim == 4 else t for t in parts)
 
 
-def validate(model: Model, shards: list[Shard], split: str, *, most: int, device: torch.device) -> Means:
+def validate(
+    model: Callable[..., Tensor],
+    shards: list[Shard],
+    split: str,
+    *,
+    most: int,
+    device: torch.device,
+    reads: tuple[int, ...] = (0, 1, 2, 3),
+) -> Means:
     """Mean scores over at most ``most`` frames of each kind, spread over the scenes of the split.
+
+    ``reads``: the parts of a `training.augment.Batch` that the model takes; a `Model` takes the first four.
 
     Raises:
         InputError: the split lacks SF or EF samples.
@@ -49,7 +59,7 @@ def validate(model: Model, shards: list[Shard], split: str, *, most: int, device
         sample = spread(places(shards, split, kind), most)
         if not sample:
             raise InputError(f"split {split}: no {kind} samples")
-        scores = mean_scores([_score(model, place, device) for place in sample])
+        scores = mean_scores([_score(model, place, device, reads) for place in sample])
         for name, value in (
             (kind, scores["all"].psnr_rgb),
             (f"{kind} holes", scores["holes"].psnr_rgb),
@@ -60,10 +70,11 @@ def validate(model: Model, shards: list[Shard], split: str, *, most: int, device
     return means
 
 
-def _score(model: Model, place: StoredSample, device: torch.device):
+def _score(model: Callable[..., Tensor], place: StoredSample, device: torch.device, reads: tuple[int, ...]):
     batch = whole(place)
+    parts = tensors(batch, device)
     with torch.no_grad():
-        image = model(*tensors(batch, device)[:4])[0].float().cpu().numpy()
+        image = model(*(parts[i] for i in reads))[0].float().cpu().numpy()
     truth = np.moveaxis(batch.truth[0], 0, -1)
     height, width, _ = truth.shape
     hole = batch.mask[0, 0, : height // 2, : width // 2] == 0

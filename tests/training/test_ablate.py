@@ -7,8 +7,23 @@ from training.samples import write_film
 pytest.importorskip("torch", reason="PyTorch is not installed: make test-training")
 
 from training import ablate
+from training.data import Batches
 
 ROWS = ("whole", "gbuffer", "erm", "SF")
+
+
+def test_half_reaches_every_step(data, monkeypatch, capsys):
+    advance, halves = ablate.advance, []
+
+    def spy(state, batch, rate, aims):
+        halves.append(aims.half)
+        return advance(state, batch, rate, aims)
+
+    monkeypatch.setattr(ablate, "advance", spy)
+    monkeypatch.setattr(ablate, "Batches", lambda *args, **named: Batches(*args, **named | {"side": 16}))
+    ablate.main([str(data), "--rows", "whole", "--seeds", "0", "--steps", "2", "--most", "1", "--half", "--threads", "1"])
+    assert halves == [True, True]
+    assert "without whole, EF:" in capsys.readouterr().out
 
 
 @pytest.mark.thorough

@@ -1,5 +1,6 @@
 """The paper's rivals: their inputs, a step of training, and frames in a folder."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -8,11 +9,14 @@ import pytest
 from stss.demo import write_demo_sequence
 from stss.frames import display_frame
 from stss.images.color import transfer
-from stss.images.read_write import read_rgb
+from stss.images.read_write import read_rgb, write_channels
+from stss.quality.metrics import psnr, to_8bit
 from stss.sequence.reader import open_sequence
 from stss_ground.errors import InputError
 from stss_ref.frame import NetworkInputs, prepare
 from stss_ref.resample import upsample_centres
+from tests.app.conftest import frame_channels
+from training import samples as training_samples
 from training.samples import write_film
 
 torch = pytest.importorskip("torch", reason="PyTorch is not installed: make test-training")
@@ -20,11 +24,12 @@ torch = pytest.importorskip("torch", reason="PyTorch is not installed: make test
 from safetensors.torch import save_file  # noqa: E402
 
 from training.loss import led_along  # noqa: E402
-from training.rivals import authors, cost, jittered, nss, run, samples, train, wgsl_upscaler  # noqa: E402
+from training.rivals import authors, cost, jittered, nss, run, samples, train, validate, wgsl_upscaler  # noqa: E402
 from training.rivals.networks import EARLIER, NSRR, PLANES, ExtraNet, spread_out  # noqa: E402
 from training.train import Settings  # noqa: E402
 
 SIZE = (24, 32)
+CHAIN = "extranet+nsrr"
 
 
 @pytest.fixture(scope="module")
@@ -78,8 +83,48 @@ def test_a_few_steps_lower_the_loss(data, name):
 def test_shards_without_the_frames_are_one_line(data, tmp_path):
     with pytest.raises(InputError, match=r"rivals\.samples"):
         train.batches(data.parent / "films", "nsrr", 16, 2, 0)
-    with pytest.raises(InputError, match="no analytic films"):
+    with pytest.raises(InputError, match="no shards"):
         samples.main([str(tmp_path), "-o", str(tmp_path / "out")])
+
+
+def test_a_sequence_is_validated_as_a_run_of_it_scores(tmp_path, capsys):
+    """On a renderer's frames: the means over shards are those of the frames that the chain writes, each as SF and as EF."""
+    low, high = tmp_path / "clips" / "one" / "lr", tmp_path / "clips" / "one" / "hr"
+    for folder in (low, high):
+        folder.mkdir(parents=True)
+    for number in range(11):
+        planes = frame_channels(number, (24, 32))
+        colors = {name: planes[name] / 2 for name in "RGB"}  # a run adds light above 1 after the network
+        write_channels(low / f"a.{number:04}.exr", planes | colors)
+        for folder in (tmp_path / "all", *([high] if number > 8 else [])):
+            folder.mkdir(exist_ok=True)
+            write_channels(
+                folder / f"a.{number:04}.exr", {name: plane.repeat(2, 0).repeat(2, 1) for name, plane in colors.items()}
+            )
+    training_samples.main(["--sequence", str(low), str(high), "--split", "validation", "-o", str(tmp_path / "shards")])
+    words = [str(tmp_path / "shards"), "-o", str(tmp_path / "five")]
+    with pytest.raises(InputError, match="expected --clips"):
+        samples.main(words)
+    samples.main([*words, "--clips", str(tmp_path / "clips")])
+    networks = {name: train.make(name) for name in train.NETWORKS}
+    for name, network in networks.items():
+        with torch.no_grad():
+            network.outc.bias.copy_(torch.tensor([0.1, -0.1, 0.05]))
+        save_file({key: t.contiguous() for key, t in network.named_parameters()}, tmp_path / name)
+    files = [word for name in train.NETWORKS for word in (f"--{name}", str(tmp_path / name))]
+    validate.main([str(tmp_path / "five"), *files])
+    means = json.loads(capsys.readouterr().out.splitlines()[-1].partition(": ")[2])
+    curve, found = transfer("srgb"), {"SF": [], "EF": []}
+    for rendered in ("even", "odd"):
+        out = tmp_path / rendered
+        run.main([str(low), str(tmp_path / "all"), "-o", str(out), "--rendered", rendered, *files, "--methods", CHAIN])
+        for number in (9, 10):
+            image, truth = (
+                curve.encode(read_rgb(path)) for path in (out / CHAIN / f"frame.{number:04}.exr", high / f"a.{number:04}.exr")
+            )
+            found["SF" if (number % 2 == 0) == (rendered == "even") else "EF"].append(psnr(to_8bit(image), to_8bit(truth)))
+    assert {kind: means[kind] for kind in found} == {kind: pytest.approx(np.mean(v), abs=0.05) for kind, v in found.items()}
+    assert abs(means["SF"] - means["EF"]) > 0.2
 
 
 def test_every_chain_writes_frames_and_scores(tmp_path, monkeypatch):
@@ -120,6 +165,10 @@ def test_every_chain_writes_frames_and_scores(tmp_path, monkeypatch):
         (["--methods", "nsrr"], "--nsrr: expected its weights"),
         (["--methods", "wgsl"], "--wgsl: expected where it was fetched to"),
         (["--methods", "network+rife"], r"frame 0 is not in .*; name its method before it"),
+        (
+            ["--methods", "nsrr", "--nsrr", str(tmp_path / "extranet")],
+            "expected weights of python -m training.rivals.train DATA nsrr",
+        ),
         (["--methods", "authors", "--authors", str(tmp_path / "nsrr")], "expected medieval.pth.tar"),
     ):
         with pytest.raises(InputError, match=message):

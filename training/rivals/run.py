@@ -19,10 +19,9 @@ from typing import cast
 import numpy as np
 import torch
 from rich.console import Console
-from safetensors.torch import load_file
 from torch import nn
 
-from stss.frames.backends import NETWORK, Backend
+from stss.frames.backends import DEFAULTS, NETWORK, Backend
 from stss.frames.display_frame import WINDOW, DisplayFrame, OnHost, frame_inputs
 from stss.images.color import Transfer, transfer
 from stss.images.read_write import read_rgb
@@ -48,7 +47,7 @@ from training.rivals.jittered import JitteredBackend, Upsampler, read_offsets
 from training.rivals.networks import EARLIER, between, rife
 from training.rivals.nss import Nss
 from training.rivals.samples import five_frames
-from training.rivals.train import make
+from training.rivals.train import read
 from training.rivals.wgsl_upscaler import WgslUpscaler
 
 CHAINS = ("extranet+nsrr", "rife+nsrr", "nsrr+extranet", "extranet", "nsrr", "authors")
@@ -218,8 +217,7 @@ def open_networks(options: argparse.Namespace) -> dict[str, nn.Module]:
             if name == "authors":
                 networks[name] = load_authors(path)
             else:
-                networks[name] = make(name)
-                networks[name].load_state_dict(load_file(path))
+                networks[name] = read(name, path)
     return networks
 
 
@@ -251,6 +249,7 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--jitter", type=Path, help=f"CSV of frame,x,y: the shift of the image in pixels; for {JITTERED}")
     parser.add_argument("--rendered", choices=("even", "odd", "all"))
     parser.add_argument("--frames", type=int, nargs=2, metavar=("FIRST", "LAST"))
+    parser.add_argument("--no-accumulate", dest="accumulate", action="store_const", const=False, help="as that of stss run")
     parser.add_argument("--full", action="store_true", help="FLIP, VMAF, ColorVideoVDP and LPIPS too")
     return parser.parse_args(arguments)
 
@@ -282,7 +281,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         if method in JITTERED and (method not in METHODS or args.jitter is not None):
             backend = JitteredBackend(method, open_upsampler(method, args), read_offsets(args.jitter), files.load, curve)
             return cast(Backend, backend), method
-        return open_method(method, loaded)
+        return open_method(method, loaded, options=replace(DEFAULTS, accumulate=args.accumulate))
 
     engines = {method: partial(engine, method) for method in args.methods}
     results = run_methods(files, args.truth, args.out, engines, options, perceptual=Perceptual(args.full, args.full))

@@ -12,15 +12,16 @@ from pathlib import Path
 from typing import cast
 
 import torch
-from safetensors.torch import save_file
+from safetensors import SafetensorError
+from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 
 from stss_ground.errors import InputError
 from stss_ground.output.places import require_places
-from training.augment import COLORS, DETAIL, MOTION, augment
+from training.augment import AUGMENTS, COLORS, DETAIL, MOTION, Augment, augment
 from training.checkpoint import State
 from training.command import command
-from training.data import Batches, Kind, load_shards
+from training.data import Batches, Kind, Shard, load_shards
 from training.initial import hold_gates, initialise
 from training.loss import STRUCTURE, loss, squared, structure, trusted
 from training.network import Heads, Network, leak
@@ -47,13 +48,28 @@ def make(name: str, seed: int = 0) -> nn.Module:
     return network
 
 
-def batches(data: Path, name: str, side: int, batch: int, seed: int) -> Batches:
-    """The batches of a network; ``data`` is a folder of `training.rivals.samples`."""
+def read(name: str, path: Path) -> nn.Module:
+    """A network of `NETWORKS` with the weights of a file; InputError for another file."""
+    network = make(name)
+    try:
+        network.load_state_dict(load_file(path))
+    except (OSError, SafetensorError, RuntimeError) as error:
+        raise InputError(f"{path}: expected weights of python -m training.rivals.train DATA {name}") from error
+    return network
+
+
+def load_extended(data: Path) -> list[Shard]:
+    """The shards of a folder of `training.rivals.samples`; InputError for other shards."""
     shards = load_shards(data)
     if shards[0].inputs.shape[-1] != FRAMES + PLANES + 2 * EARLIER:
         raise InputError(f"{data}: expected shards of python -m training.rivals.samples")
-    own = Batches(shards, side=side, batch=batch, seed=seed, kinds=KINDS[name], masking=False)
-    own.augment = partial(augment, colors=ALL_COLORS, motions=ALL_MOTIONS)
+    return shards
+
+
+def batches(data: Path, name: str, side: int, batch: int, seed: int, how: Augment = "all") -> Batches:
+    """The batches of a network; ``data`` is a folder of `training.rivals.samples`, ``how`` as in `training.augment.augment`."""
+    own = Batches(load_extended(data), side=side, batch=batch, seed=seed, kinds=KINDS[name], masking=False)
+    own.augment = partial(augment, how=how, colors=ALL_COLORS, motions=ALL_MOTIONS)
     return own
 
 
@@ -94,12 +110,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--batch", type=int, default=8)
     parser.add_argument("--warm-up", type=int, default=200)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--augment", choices=AUGMENTS, default="all", help="see python -m training.train")
     parser.add_argument("--half", action="store_true", help="bfloat16")
     options = parser.parse_args(arguments)
     require_places({"--out": options.out} if options.out.exists() else {}, options.data.rglob("*"))
     torch.set_num_threads(1)
     settings = Settings(64, options.batch, 0.01, options.warm_up, options.seed, options.half)
-    data = batches(options.data, options.network, 64, options.batch, options.seed)
+    data = batches(options.data, options.network, 64, options.batch, options.seed, options.augment)
     state = start(make(options.network, options.seed))
     torch.set_flush_denormal(True)
     for step, batch in data.between(0, options.steps):
