@@ -61,6 +61,7 @@ BOUNDS = {
     "rms.stored": Bound(1, 0, "of 3 roundings, each of up to u, the rms is u; changes of up to 3 u have sqrt(3) u"),
     "sums.square": Bound(2, 0, "mean of at least 1000 squared errors, each over its largest variance, n S^2 u^2 / 3"),
     "sums.signed": Bound(8, 0, "sum of N such errors over sqrt(N): standard deviations of what is rounded either way as often"),
+    "sums.quotient": Bound(6, 0, "erm's product with a weight, 1, and its quotient by the same, 2.5 ulp of up to 2 u"),
     "quarter": Bound(1, 0, "fraction -+ 1/4, below 2, rounded once; scale: 1 pixel, times slope and contrast, as motion"),
     "accumulate": Bound(
         3,

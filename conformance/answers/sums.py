@@ -16,7 +16,9 @@ FEWEST = 1000
 """Fewest sums from which a bias shows."""
 
 
-def rounding(got: NDArray[Any], want: NDArray[Any], terms: int, arithmetic: Arithmetic) -> NDArray[np.float64]:
+def rounding(
+    got: NDArray[Any], want: NDArray[Any], terms: int, arithmetic: Arithmetic, behind: float = 0.0
+) -> NDArray[np.float64]:
     """Mean square and signed sum of the errors, in units of the expected rounding.
 
     A partial sum is at most ``S``, the whole sum, since all terms have one sign. Each of ``n`` additions rounds by up to ``u S``, either
@@ -28,6 +30,7 @@ def rounding(got: NDArray[Any], want: NDArray[Any], terms: int, arithmetic: Arit
         want: the true sums, none of them 0.
         terms: ``n``, number of products in a sum.
         arithmetic: of the port.
+        behind: roundings to float32 behind the sum, which may be alike for all sums, and do not count.
 
     Returns:
         ``mean(e^2)`` and ``sum(e) / sqrt(N)``, ``e`` the errors over the root of that variance.
@@ -38,7 +41,8 @@ def rounding(got: NDArray[Any], want: NDArray[Any], terms: int, arithmetic: Arit
         variance *= BOUNDS["layer.winograd"].roundings ** 2
     if arithmetic.dtype != "float32":
         variance += BOUNDS["layer.float16"].roundings * arithmetic.unit**2
-    error = (got.astype(np.float64) - want) / (np.abs(want) * np.sqrt(variance / 3))
+    error = got.astype(np.float64) / np.abs(want) - np.sign(want)
+    error = np.sign(error) * np.maximum(np.abs(error) - behind * UNIT["float32"], 0) / np.sqrt(variance / 3)
     return np.array([np.mean(error * error), np.sum(error) / np.sqrt(error.size)])
 
 

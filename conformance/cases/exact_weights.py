@@ -22,8 +22,12 @@ Tensors = dict[str, NDArray[Any]]
 OPEN = 100.0
 ADDED = (1.0, 1.0, -1.0)
 """The weights of one sum: a layer at most doubles its numbers, so that half still has them exactly after the encoder's 11 layers."""
-LAST = {"history": "lowlevelGated.conv_feature", "encoder": "conv2.conv_feature", "decoder": "outc"}
-"""Stage -> the layer whose sums are an output of the stage, without further sums: ``feature``, ``x1``, ``image``."""
+LAST = {"history": "lowlevelGated.conv_feature", "encoder": "conv2.conv_feature", "erm": "latentEncoder.4", "decoder": "outc"}
+"""Stage -> the layer whose sums are an output of the stage, without further sums: ``feature``, ``x1``, ``reshaded``, ``image``."""
+ROUNDED_SIZE = {"history": (64, 64), "encoder": (16, 16), "erm": (200, 200), "decoder": (16, 16)}
+"""(H, W) with thousands of such sums."""
+WINDOW = 5
+"""Rows and columns of places of which stage erm takes the mean."""
 
 
 def tap_weights(rng: Generator, taps: tuple[float, ...], biases: tuple[float, ...] = (0.0,)) -> Tensors:
@@ -77,12 +81,14 @@ def rounded_sums(draw: st.DrawFn, stage: str) -> tuple[Inputs, Weights]:
     Its products have one sign, and none or half of them are 0, so that a sum that always rounds to one side ends far from the truth.
     """
     rng = np.random.default_rng(draw(SEEDS))
-    inputs, weights = eighths(stage, rng, (64, 64) if stage == "history" else (16, 16)), tap_weights(rng, (1.0,))
+    inputs, weights = eighths(stage, rng, ROUNDED_SIZE[stage]), tap_weights(rng, (1.0,))
     if draw(st.booleans()):
         inputs = {name: array * (rng.random(array.shape) < 0.5) for name, array in inputs.items()}
     if stage == "decoder":
         inputs = {name: array * (name == "x1") for name, array in inputs.items()}
         _copy_x1(weights)
+    if stage == "erm":
+        _trust_one_of_each_window(inputs, weights)
     name = f"{LAST[stage]}.weight"
     # A ReLU follows the encoder's layer.
     sign = 1.0 if stage == "encoder" else draw(st.sampled_from([1.0, -1.0]))
@@ -95,3 +101,13 @@ def _copy_x1(weights: Tensors) -> None:
     for name in ("up3.conv.double_conv.0.weight", "up3.conv.double_conv.2.weight"):
         weights[name] = np.zeros_like(weights[name])
         weights[name][range(24), range(24), 1, 1] = 1
+
+
+def _trust_one_of_each_window(inputs: Inputs, weights: Tensors) -> None:
+    """Make each result of stage erm the light of one place: the only one in its window that is trusted. All keys are 1."""
+    y, x = np.indices(inputs["mask"].shape) // 8 % WINDOW
+    inputs["mask"] = ((y == WINDOW // 2) & (x == WINDOW // 2)).astype(np.float64)
+    for name in weights:
+        if name.startswith("KEncoder"):
+            weights[name] = np.zeros_like(weights[name])
+    weights["KEncoder.4.bias"][0] = 1

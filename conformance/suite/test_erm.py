@@ -15,6 +15,7 @@ from conformance.suite.properties import (
     agrees_on_constants,
     cases,
     keeps_nothing_by_a_part,
+    rounds_either_way,
     same_twice,
 )
 from stss_ref.weights import Weights
@@ -88,6 +89,9 @@ def test_opposite_materials_share_no_light(judge: Judge, case: tuple[tuple[Input
 
 
 test_the_same_twice = same_twice("erm", cases(CASES, slow=True))
+
+
+test_sums_round_either_way = rounds_either_way("erm", "reshaded")
 
 
 test_constants_are_those_of_the_specification = agrees_on_constants("erm")

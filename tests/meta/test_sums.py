@@ -53,6 +53,30 @@ def test_a_sum_that_rounds_to_one_side_is_found(stage, direction):
         judged(port(partial(one_way, direction)), stage, "sums_round_either_way", rounded_sums(stage))
 
 
+def cut_off(x):
+    """Stored in half as some devices convert: what half does not hold is lost."""
+    stored = x.astype(np.float16)
+    over = np.abs(stored.astype(x.dtype)) > np.abs(x)
+    return np.where(over, np.nextafter(stored, np.float16(0)), stored).astype(x.dtype)
+
+
+@pytest.mark.parametrize("stage", ["history", "encoder", "erm", "decoder"])
+@pytest.mark.parametrize("stored", [others.to_half, cut_off])
+def test_half_that_is_cut_off_is_found(stage, stored):
+    planted = put("conv.conv", lambda *arrays, **more: stored(conv(*arrays, **more)))
+    half = load("planted", planted, entry=others.to_half, dtype="float16")
+    if stored is others.to_half:
+        assert max(judged(half, stage, "sums_round_either_way", rounded_sums(stage)).values()) < 1
+    else:
+        with pytest.raises(DepartureError, match=f"{stage}.rounding: error / bound"):
+            judged(half, stage, "sums_round_either_way", rounded_sums(stage))
+
+
+@pytest.mark.parametrize("name", ["orders", "winograd_4", "half"])
+def test_what_the_erm_does_behind_its_sums_is_no_mistake(name):
+    assert max(judged(others.port(name), "erm", "sums_round_either_way", rounded_sums("erm")).values()) < 1
+
+
 @pytest.mark.parametrize("stage", ["encoder", "decoder"])
 def test_one_rounding_is_one_too_many_where_none_is_needed(stage):
     def off_by_a_bit(factors, weights, bias):
