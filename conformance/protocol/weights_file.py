@@ -16,8 +16,9 @@ import numpy as np
 from conformance.protocol.weights_format import VERSIONS, FileWeights, format_metadata, versions_of
 from stss_ref.weights import Weights, check
 
-FURTHER = {"trained": '[{"crop": "{\\"side\\": 64}"}, "weights", "paper, detail, reshade"]'}
-"""An entry of the metadata that no port needs, as in files of trained weights. It has words that elsewhere would be settings."""
+FURTHER = {"trained": '[{"crop": "{\\"side\\": 64}"}, "weights", "paper, detail, reshade"] J\u00f6rg, 27" }, C:\\\\films\\\\'}
+"""An entry of the metadata that no port needs, as in files of trained weights. It has words that elsewhere would be settings, a quote and a
+bracket without their partners, a letter of two bytes, and ends with a backslash."""
 ALIGNED = 8
 """The header's length is a multiple of this, as the library's is, so that the numbers are aligned."""
 DRAWN_FROM = "latentEncoder.2.weight"
@@ -49,7 +50,7 @@ def serialise(weights: Weights) -> bytes:
         entries.append((str(name), _in_any_order(rng, entry)))
     entries.insert(int(rng.choice([0, len(entries), len(entries) // 2])), ("__metadata__", metadata))
     compact = bool(rng.random() < 0.5)
-    header = json.dumps(dict(entries), separators=(",", ":") if compact else (", ", ": ")).encode()
+    header = json.dumps(dict(entries), separators=(",", ":") if compact else (", ", ": "), ensure_ascii=compact).encode()
     header += b" " * (-len(header) % ALIGNED + ALIGNED * int(rng.choice(MORE)))
     return len(header).to_bytes(8, "little") + header + b"".join(tensors[name] for name in names)
 
