@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import sys
 from pathlib import Path
 from typing import Any
@@ -56,13 +57,14 @@ class ReferencePort:
 
 def serve(port: Any, *, dump: bool = False) -> None:
     """Compute the jobs whose folders come line by line on standard input, up to its end: ``PROGRAM --serve``; errors as `answer_job`."""
-    weights = WeightsFiles()
-    sys.stdout.write(f"{READY}\n")
-    sys.stdout.flush()
-    for line in sys.stdin:
-        answer_job(Path(line.rstrip("\n")), port, dump=dump, weights=weights)
-        sys.stdout.write(f"{END}{line}")
-        sys.stdout.flush()
+    weights, lines, answers = WeightsFiles(), sys.stdin.buffer, sys.stdout.buffer
+    answers.write(f"{READY}\n".encode())
+    answers.flush()
+    for line in lines:  # bytes: on Windows text would be of a code page
+        path = line.rstrip(b"\r\n")
+        answer_job(Path(os.fsdecode(path)), port, dump=dump, weights=weights)
+        answers.write(END.encode() + path + b"\n")
+        answers.flush()
 
 
 def answer_job(job: Path, port: Any, *, dump: bool = False, weights: WeightsFiles | None = None) -> None:

@@ -18,6 +18,9 @@ from conformance.protocol.served import OutOfTimeError, Server, TooMuchError
 
 T = TypeVar("T")
 MEMORY = Path("/dev/shm")
+ANYWHERE = "stss job " if os.name == "nt" else os.fsdecode("stss job \u00e9 ".encode())
+"""Beginning of the name of a judge's job folder: a user's folder for temporary files may have such letters. On Windows a program's
+arguments come in a code page, which may lack them."""
 ROOM, LEAST_ROOM = 4, 512 * 2**20
 """Free memory for a job in memory: a multiple of its inputs, and at least this number of bytes."""
 
@@ -73,7 +76,7 @@ class Program:
         Raises:
             PortError: the program is not there, fails, takes or says too much, changes its inputs, or ``read`` raises JobError.
         """
-        job = Path(tempfile.mkdtemp(prefix="stss-job-", dir=place_for(cases)))
+        job = Path(tempfile.mkdtemp(prefix="stss-job-" if self._keep else ANYWHERE, dir=place_for(cases)))
         results: list[T] = []
         ran = False
         try:

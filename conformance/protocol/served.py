@@ -106,8 +106,10 @@ class Server:
         """Hand over a job and wait for its line; JobError if it does not come."""
         assert self._process.stdin is not None
         end = time.monotonic() + timeout
+        path = os.fsencode(job)
+        done = f"{END}{path.decode(errors='replace')}"
         try:
-            self._process.stdin.write(f"{job}\n".encode())
+            self._process.stdin.write(path + b"\n")
             self._process.stdin.flush()
         except OSError:
             raise JobError(self._ending()) from None
@@ -118,7 +120,7 @@ class Server:
                 line = ""
             if line is None:
                 raise JobError(self._ending())
-            if line == f"{END}{job}":
+            if line == done:
                 return
             if line.startswith(END):
                 raise JobError(f"answered for another job: expected {job}, got {line[len(END) :][:200]}")

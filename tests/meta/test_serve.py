@@ -49,10 +49,10 @@ def program(tmp_path, monkeypatch):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "jobs"))
     ports = []
 
-    def make(lines="answer(job)", timeout=20.0, change=lambda text: text):
+    def make(lines="answer(job)", timeout=20.0, change=lambda text: text, *, keep=True):
         text = change(PROGRAM.format(starts=str(tmp_path / "starts"), lines=lines.replace("\n", "\n    ")))
         (tmp_path / "program.py").write_text(text)
-        ports.append(FolderPort([sys.executable, str(tmp_path / "program.py")], timeout))
+        ports.append(FolderPort([sys.executable, str(tmp_path / "program.py")], timeout, keep=keep))
         return ports[-1]
 
     yield make
@@ -121,8 +121,28 @@ def test_what_goes_wrong_is_told_and_the_next_job_has_a_new_process(program, tmp
     assert starts(tmp_path) == ["--serve"] * again
 
 
-def test_our_own_port_serves():
-    port = FolderPort([sys.executable, "-m", "stss", "port"], 60)
+@pytest.mark.parametrize(
+    ("lines", "words"),
+    [
+        ("answer(job)", ""),
+        ("answer(job.split()[0])", "valid.npy: missing"),
+        ("answer(job.encode().decode('latin-1'))", "valid.npy: missing"),
+    ],
+)
+def test_a_path_of_the_judge_has_spaces_and_letters_beyond_ascii(program, lines, words):
+    port = program(lines, keep=False)
+    if not words:
+        (got,) = port.run_many([case()])
+        np.testing.assert_array_equal(got["valid"], case().inputs["valid"])
+        return
+    with pytest.raises(PortError, match=words):
+        port.run_many([case()])
+
+
+@pytest.mark.parametrize("keep", [True, False])
+def test_our_own_port_serves(keep, monkeypatch):
+    monkeypatch.setenv("PYTHONIOENCODING", "cp1252")  # as Windows has it
+    port = FolderPort([sys.executable, "-m", "stss", "port"], 60, keep=keep)
     port.run_many([case()])
     (got,) = port.run_many([case(1)])
     assert got["valid"][0, 0] == 0
