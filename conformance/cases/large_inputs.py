@@ -46,11 +46,15 @@ TWICE = ("decoder", "network", "frame", "accumulate")
 """Stages with arrays of twice the rows and columns."""
 IN_FULL = ("history", "encoder", "erm", "decoder")
 """Stages that only the full tier judges at such a size."""
+IN_QUICK: dict[str, Size] = {"encoder": (264, 272), "decoder": (264, 272)}
+"""(H, W) of more than 65,536 pixels, at which the quick tier judges some of them in windows; `HISTORY_SIZES` has it for history."""
 FEW = 4
 """Large frames of a quick tier."""
 MOST_HOLES = 8_000
 """About the largest number of holes in a frame for stage reshade that is judged as a whole: the reference looks at 289 pixels around
 each."""
+FINE = 2**14
+"""Parts of a pixel: float32 holds a motion of a few pixels with so many, and no place from column 1,024 on."""
 SHORT = 8
 """Longest motion of frames that are judged in windows; pixels."""
 MakeCase = Callable[[Generator], Any]
@@ -76,6 +80,12 @@ def motion(rng: Generator, size: Size) -> NDArray[np.float64]:
 
 Moving = Callable[[Generator, Size], NDArray[np.float64]]
 """Makes the motion of a frame."""
+
+
+def _warp(moving: Moving, size: Size, rng: Generator) -> Inputs:
+    """Three channels; in windows so many that 1080 x 1920 pixels have more numbers than float32 counts."""
+    channels = 9 if moving is short_motion else 3
+    return {"color": rng.random((*size, channels), np.float32), "motion": moving(rng, size)}
 
 
 def _holes(moving: Moving, size: Size, rng: Generator) -> Inputs:
@@ -155,13 +165,22 @@ def frame_case(
     second: SecondColor = "newest",
     steps: tuple[int, int, int] = (1, 3, 5),
     fill: HoleFill = "occlusion_warp",
+    *,
+    fine: bool = False,
 ) -> tuple[Inputs, Weights]:
-    """Stage frame: motion is short, in quarters, or far, in whole pixels; surfaces coincide or are far apart: rounding decides no hole."""
+    """Stage frame: motion is short, in quarters, or far, in whole pixels; surfaces coincide or are far apart: rounding decides no hole.
+
+    With ``fine`` motion the newest one is in fractions of a pixel that a sum with its column loses, and none is far: no other sum rounds.
+    """
     count, single = steps[-1], np.float32
     far = np.round((rng.random((count, *size, 2), single) * single(1.8) - single(0.9)) * np.array(size[::-1], single))
     moved = np.where(
-        rng.random((count, *size, 1), single) < 0.3, far, rng.integers(-6, 7, (count, *size, 2), np.int8) / single(4)
+        rng.random((count, *size, 1), single) < (0 if fine else 0.3),
+        far,
+        rng.integers(-6, 7, (count, *size, 2), np.int8) / single(4),
     )
+    if fine:
+        moved[0] += rng.integers(0, FINE // 4, (*size, 2), np.int16) / single(FINE)
     positions = np.zeros((4, *size, 3), single)
     positions[..., 0] = single(256) * (rng.random((4, *size), single) < 0.02)
     inputs: Inputs = {
@@ -175,7 +194,7 @@ def frame_case(
 
 _IMAGE: dict[str, Callable[[Moving, Size, Generator], Inputs]] = {
     "motion_chain": lambda moving, size, rng: {"motions": np.stack([moving(rng, size) for _ in range(3)])},
-    "warp": lambda moving, size, rng: {"color": rng.random((*size, 3)), "motion": moving(rng, size)},
+    "warp": _warp,
     "holes": _holes, "occlusion_warp": _occlusion_warp, "reshade": _reshade, "rrm": _rrm,
     "accumulate": _accumulate,
 }  # fmt: skip
@@ -213,7 +232,7 @@ def user_inputs(stage: str, most: int, side: int | None = None) -> tuple[MakeCas
     sizes = [_fitting_size(stage, size) for size in user_sizes(stage, most, side)]
     if stage == "frame":
         # Stage reshade is judged at these sizes by itself: the reference's fill of so many holes takes longer than all the rest.
-        return tuple(partial(frame_case, size, second="detail", steps=(1, 2, 3)) for size in sizes)
+        return tuple(partial(frame_case, size, second="detail", steps=(1, 2, 3), fine=True) for size in sizes)
     if stage in _IMAGE:
         return tuple(partial(_IMAGE[stage], short_motion, size) for size in sizes)
     return tuple(partial(network_case, stage, size) for size in sizes)
@@ -227,9 +246,14 @@ def user_sizes(stage: str, most: int, side: int | None = None) -> tuple[Size, ..
         most: large frames of the tier; of fewer than four, none is of a user's size.
         side: the most rows or columns of any array; None: any.
     """
-    if most < FEW or (most <= FEW and stage in IN_FULL):
+    if most < FEW:
         return ()
-    size = USER_SIZES["quick" if most <= FEW and stage in TWICE else "full"]
+    quick = most <= FEW
+    size = USER_SIZES["quick" if quick and stage in TWICE else "full"]
+    if quick and stage in IN_FULL:
+        if stage not in IN_QUICK:
+            return ()
+        size = IN_QUICK[stage]
     scale = 2 if stage in TWICE else 1
     return (size,) if side is None or scale * max(size) <= side else ()
 

@@ -123,6 +123,13 @@ def test_a_mistake_beyond_720p_is_found_in_the_quick_tier(stage, counted):
     assert result.outcome == "failed"
 
 
+@pytest.mark.parametrize("stage", [thorough("encoder"), "decoder"])
+def test_an_index_of_16_bits_is_found_in_a_stage_of_the_network_alone(stage):
+    (result,) = run_suite(Judge(CountingPort("pixels", 1 << 16), shrink=False), [stage], only="users")
+    assert result.outcome == "failed"
+    assert "in the window at row" in result.message
+
+
 def test_what_quick_leaves_to_full_is_the_last_line():
     judge = Judge(ReferencePort(), Tier("quick", 1, 1, 4))
     results = [result for stage in ("history", "rrm") for result in run_suite(judge, [stage], only="agrees_with")]

@@ -2,9 +2,12 @@
 """``--size`` and ``--largest-side``: a fault beyond every tier's size is found, and the report names the sizes that a port does not
 accept."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from numpy.typing import NDArray
 
 from conformance.answers.expected import largest
 from conformance.answers.windows import expect_windows, places
@@ -12,6 +15,7 @@ from conformance.cases.large_inputs import IMAGE_SIZES, USER_SIZES, large_inputs
 from conformance.command import conform
 from conformance.judging.judge import Judge, Tier
 from conformance.protocol.port import Arrays, Outputs
+from conformance.protocol.reference_copy import load, returns
 from conformance.protocol.stages import STAGES, check_inputs, reference
 from conformance.reference_port import ReferencePort
 from conformance.report.report import judged_on
@@ -146,3 +150,32 @@ def test_an_index_in_float32_is_found_at_a_users_size(monkeypatch: pytest.Monkey
     assert "in the window at row 128, column 268 of the inputs" in result.message
     (result,) = run_suite(Judge(ReferencePort(), Tier("some", 1, 1, 4)), ["frame"], only="users_size")
     assert (result.outcome, result.record.largest) == ("passed", (160, 300))
+
+
+@pytest.mark.thorough
+def test_a_fraction_of_a_rounded_sum_is_found_at_a_users_size(monkeypatch: pytest.MonkeyPatch):
+    """The second colour's weights by ``p + m``, a trap of docs/stages.md: far from column 0 the sum has lost the fraction's last bits."""
+    monkeypatch.setattr("conformance.cases.large_inputs.USER_SIZES", dict.fromkeys(("quick", "full"), (256, 1280)))
+
+    def summed(place: Any, motion: NDArray[Any]) -> Any:
+        axes = np.indices(motion.shape[:2], np.float32)[::-1]
+        x, y = ((axis + motion[..., i]).astype(np.float32) for i, axis in enumerate(axes))
+        return place._replace(fx=x - np.floor(x), fy=y - np.floor(y))
+
+    (result,) = run_suite(Judge(load("planted", returns("detail.follow", summed)), shrink=False), ["frame"], only="users_size")
+    assert result.outcome == "failed"
+    assert "column 1248 of the inputs" in result.message
+
+
+def test_an_index_in_float32_is_found_in_stage_warp():
+    class IndexedPort(ReferencePort):
+        """Reads the wrong one of two numbers where a float has no odd index."""
+
+        def run(self, stage: str, inputs: Arrays, weights: Weights | None = None) -> Outputs:
+            outputs = dict(super().run(stage, inputs, weights))
+            flat = outputs["warped"].reshape(-1)
+            flat[2**24 + 1 :: 2] = flat[2**24 :: 2][: len(flat[2**24 + 1 :: 2])]
+            return outputs
+
+    (result,) = run_suite(Judge(IndexedPort(), shrink=False), ["warp"], only="users_size")
+    assert result.outcome == "failed"
