@@ -209,8 +209,10 @@ def harmless(options: str) -> list[str]:
         raise FilmError(f"Options: {error}") from error
     for word in words:
         name = word.partition("=")[0]
-        if (word.startswith("-") and name not in HARMLESS) or not {"/", "\\"}.isdisjoint(word) or word.endswith(".safetensors"):
-            raise FilmError(f"Options: {word}: expected no path, and some of {', '.join(sorted(HARMLESS))}")
+        if word.startswith("-") and name not in HARMLESS:
+            raise FilmError(f"Options: {name}: a scene may give only {', '.join(sorted(HARMLESS))}")
+        if not {"/", "\\"}.isdisjoint(word) or word.endswith(".safetensors"):
+            raise FilmError(f"Options: {word}: names a path, which a scene may not: it may come from a stranger")
     return words
 
 

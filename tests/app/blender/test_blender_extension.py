@@ -100,6 +100,10 @@ def test_a_scene_of_a_stranger_runs_no_program_and_names_no_file(film):
     ):
         with pytest.raises(film.FilmError, match="Options: "):
             film.harmless(options)
+    with pytest.raises(film.FilmError, match=r"^Options: --frmat: a scene may give only --accumulate, .*, --weights$"):
+        film.harmless("--frmat=png")
+    with pytest.raises(film.FilmError, match=r"^Options: a\.safetensors: names a path, which a scene may not: it may"):
+        film.harmless("--weights a.safetensors")
     tree = ast.parse((ROOT / "blender" / "__init__.py").read_text())
     settings = next(node for node in tree.body if isinstance(node, ast.ClassDef) and node.name == "Settings")
     assert [line.target.id for line in settings.body if isinstance(line, ast.AnnAssign)] == ["folder", "options"]
