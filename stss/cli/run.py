@@ -8,6 +8,7 @@ import sys
 import time
 from functools import partial
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 import click
@@ -168,9 +169,14 @@ def _report(summary: Summary, out: Path, console: Console) -> None:
     peak = max((frame.peak for frame in summary.frames), default=0.0)
     if peak > 1:
         console.print(f"highlights: up to {peak:.3g}; --format png and --transfer none clip at 1", soft_wrap=True)
-    if shares := [frame.static_holes for frame in summary.frames if frame.static_holes is not None]:
+    holes = {frame.number: frame.static_holes for frame in summary.frames if frame.static_holes is not None}
+    if shares := list(holes.values()):
         share = sum(shares) / len(shares)
         advice = "; so many that motion or positions may be wrong: see stss check" if share > MANY_HOLES else ""
         console.print(f"holes: {share:.1%} of the static surfaces, in {len(shares)} EF{advice}", soft_wrap=True)
+        if len(shares) > 2 and median(shares) < MANY_HOLES / 2:
+            for number in [number for number, of in holes.items() if of > MANY_HOLES]:
+                text = f"{holes[number]:.1%} of the static surfaces in frame {number} alone: a cut? Render it, and give --cuts {number}"
+                console.print(f"holes: {text}", soft_wrap=True)
     if costs := [frame.cost for frame in summary.frames if frame.cost]:
         console.print(describe_costs(costs), soft_wrap=True, markup=False, highlight=False)

@@ -190,6 +190,21 @@ def test_wrong_motion_is_seen_by_its_holes(write_frames, tmp_path):
         assert ("so many that motion or positions may be wrong: see stss check" in result.stderr) == advised, result.stderr
 
 
+def test_a_cut_that_was_not_named_is_seen_by_its_holes(write_frames, tmp_path):
+    """Other places from frame 5 on, which was not rendered: it is made of the shot before."""
+    lr = write_frames(
+        range(8),
+        change=lambda number, of: of | {"position.X": of["position.X"] + 1e4 * (number > 4), "stencil.X": 0 * of["stencil.X"]},
+        rendered=range(0, 8, 2),
+    )
+    result = call("run", lr, "-o", tmp_path / "out", *PLAIN)
+    assert result.returncode == 0, result.stderr
+    assert "static surfaces in frame 5 alone: a cut? Render it, and give --cuts 5\n" in result.stderr
+    assert result.stderr.count("a cut?") == 1
+    result = call("run", lr, "-o", tmp_path / "first", *PLAIN, "--frames", "0:4")
+    assert "a cut?" not in result.stderr
+
+
 def test_alpha_highlights_layers_and_metadata_come_out(write_frames, tmp_path):
     """A sequence with alpha, highlights of 10 and a light pass, a cut, and a compositor's metadata."""
 
