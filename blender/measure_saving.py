@@ -19,7 +19,7 @@ import shlex
 import subprocess
 import sys
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -74,7 +74,7 @@ def main() -> None:
     )
     parser.add_argument("--truth", type=int, default=128, help="samples of the truth, which has another seed")
     parser.add_argument("--stss", default="stss", help="the command that starts stss")
-    parser.add_argument("--options", default="", help="further options of stss run")
+    parser.add_argument("--options", default="", help="further options of stss run, such as --cuts")
     parser.add_argument("-o", "--out", type=Path, required=True, help="a new folder")
     options = parser.parse_args()
     console = os.fdopen(os.dup(1), "w")
@@ -101,8 +101,14 @@ def main() -> None:
         row(f"full-{count}", out / f"full-{count}", seconds(lambda: render_full(out / f"full-{count}", count, 0)))  # noqa: B023
         count *= 2
     scene.cycles.samples = options.samples
-    half = seconds(lambda: [*film.render(scene, out / "half")])
-    stss_seconds = seconds(lambda: [*film.supersample(out / "half", (), command, shlex.split(options.options))])
+    named, words = film.cuts_of(shlex.split(options.options))
+    cuts: list[int] = []
+
+    def render_half() -> Iterator[str]:
+        cuts[:] = (yield from film.render(scene, out / "half", named))[1]  # those of markers, too
+
+    half = seconds(lambda: [*render_half()])
+    stss_seconds = seconds(lambda: [*film.supersample(out / "half", cuts, command, words)])
     print(f"stss run alone: {stss_seconds / (last - first + 1):.2f} s", file=console)
     row("stss", out / "half" / "out", half + stss_seconds)
 

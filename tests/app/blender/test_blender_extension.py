@@ -372,7 +372,7 @@ def see_trap(report, folder, output):
 def measure_saving(python, folder):
     """What ``measure_saving.py`` prints of the scene: (name, seconds of a frame, PSNR)."""
     words = [python, ROOT / "blender/measure_saving.py", folder / "shot.blend", "-o", folder / "saving", "--frames", "1", "3"]
-    words += ["--samples", "2", "--truth", "8", "--stss", f"{sys.executable} -m stss", "--options", "--backend ref"]
+    words += ["--samples", "2", "--truth", "8", "--stss", f"{sys.executable} -m stss", "--options", "--backend ref --cuts 2"]
     process = subprocess.run(words, capture_output=True, text=True, check=False, timeout=900)
     assert process.returncode == 0, process.stdout + process.stderr
     rows = re.findall(r"^([\w-]+): ([\d.]+) s, ([\d.]+) dB, SSIM 0\.\d{3}$", process.stdout, re.M)
