@@ -99,7 +99,8 @@ class Server:
 
     def _keep_stderr(self, job: Path) -> None:
         self._err.seek(0)
-        (job / "stderr.txt").write_bytes(self._err.read(MOST_SAID))
+        with suppress(FileNotFoundError):  # where it removed its job
+            (job / "stderr.txt").write_bytes(self._err.read(MOST_SAID))
         self.stderr = tail(self._err)
 
     def _exchange(self, job: Path, timeout: float) -> None:

@@ -139,6 +139,12 @@ def test_a_path_of_the_judge_has_spaces_and_letters_beyond_ascii(program, lines,
         port.run_many([case()])
 
 
+def test_a_program_that_removes_its_job_while_it_serves_is_told(program):
+    port = program("answer(job)\nimport shutil\nshutil.rmtree(job)")
+    with pytest.raises(PortError, match="no such folder"):
+        port.run_many([case()])
+
+
 @pytest.mark.parametrize("keep", [True, False])
 def test_our_own_port_serves(keep, monkeypatch):
     monkeypatch.setenv("PYTHONIOENCODING", "cp1252")  # as Windows has it
