@@ -26,7 +26,7 @@ def camera_lines(sequence: Sequence, number: int) -> list[Line]:
     if sequence.solves_camera:
         return [("note", "camera: from position and depth of each frame")]
     pose = sequence.frames[number].camera
-    buffers = sequence.load(number, color=False)
+    buffers = sequence.load(number, color=False, cut=True)
     position = buffers.position.astype(np.float64) * sequence.profile.units_per_cm
     ray = sequence.profile.depth.kind == "ray" and (pose is None or pose.to_camera is None)
     camera = solve_camera(buffers.depth, position, ray=ray)

@@ -23,9 +23,10 @@ from stss.check_sequence.alignment import alignment_lines
 from stss.check_sequence.camera import camera_lines
 from stss.check_sequence.motion_convention import judge_motion
 from stss.check_sequence.static_positions import judge_static_geometry
-from stss.check_sequence.value_statistics import Level, Values, motion_lines
+from stss.check_sequence.value_statistics import Level, Line, Values, motion_lines
 from stss.images.headers import read_header
 from stss.sequence.antialiasing import judge_sampling
+from stss.sequence.background import CameraError
 from stss.sequence.channels import MissingBuffersError
 from stss.sequence.choose_weights import weights_for
 from stss.sequence.find_profile import frames_of, settle_profile
@@ -321,14 +322,15 @@ def _pixels(
     pairs = [(a, b) for a, b in pairwise(usable) if b == a + 1]
     sample = pairs[:: max(1, -(-len(pairs) // PAIRS))]
     begin("motion")
-    verdict = judge_motion((sequence.load(a), sequence.load(b)) for a, b in sample)
+    looked = sorted({n for pair in sample for n in pair}) or usable[:1]
+    sample, lost = _with_motion(sequence, sample)
+    verdict = judge_motion((sequence.load(a, cut=True), sequence.load(b)) for a, b in sample)
     tables["reprojection"] = dataclasses.asdict(verdict)
     begin("positions")
-    geometry = judge_static_geometry((sequence.load(a), sequence.load(b)) for a, b in sample)
+    geometry = judge_static_geometry((sequence.load(a, cut=True), sequence.load(b)) for a, b in sample)
     tables |= dataclasses.asdict(geometry)
     begin("values")
     values = Values()
-    looked = sorted({n for pair in sample for n in pair}) or usable[:1]
     for number in usable if all_values else looked:
         values.add(sequence, number)
     tables["values"] = values.table()
@@ -339,14 +341,27 @@ def _pixels(
         camera = []  # any other camera is wrong, too
     if any(level == "warning" for level, _ in camera) and "nov" not in sequence.frames[usable[0]].sources:
         lines = [line for line in lines if not line[1].startswith("nov: ")]  # which is computed by that camera
-    lines += [*positions, *camera]
+    lines += [*lost, *positions, *camera]
     rendered = [n for n in sorted(sequence.rendered) if n in usable]
     begin("colours")
     colored = rendered[1 :: max(1, len(rendered) // PAIRS)]
-    lines += alignment_lines(map(sequence.load, colored), linear=sequence.profile.color_domain == "linear")
+    lines += alignment_lines((sequence.load(n, cut=True) for n in colored), linear=sequence.profile.color_domain == "linear")
     tables["looked at"] = {"values": usable if all_values else looked, "motion and positions": looked}
     lines.append(("note", _looked(looked, len(numbers), all_values=all_values)))
     return [CheckFinding(level, text) for level, text in lines]
+
+
+def _with_motion(sequence: Sequence, pairs: list[tuple[int, int]]) -> tuple[list[tuple[int, int]], list[Line]]:
+    """The pairs whose motion is known, and a finding for each of the others: at a cut a run needs none."""
+    known: list[tuple[int, int]] = []
+    lines: list[Line] = []
+    for pair in pairs:
+        try:
+            sequence.load(pair[1])
+            known.append(pair)
+        except CameraError as error:
+            lines.append(("warning", str(error)))
+    return known, lines
 
 
 def _looked(looked: list[int], count: int, *, all_values: bool) -> str:

@@ -16,6 +16,7 @@ from stss.frames.output import choose_rendered
 from stss.images.color import LARGEST
 from stss.images.headers import read_header
 from stss.images.read_write import WHOLE
+from stss.sequence.background import CameraError
 from stss.sequence.profiles import BUFFERS
 from stss.sequence.raw_frame import FINITE, UNIT_RANGE, NonFinite, read_stored
 from stss.sequence.reader import Sequence
@@ -79,7 +80,10 @@ class Values:
         """Look at one frame."""
         frame = sequence.frames[number]
         planes = read_stored(frame, sequence.canvas, sequence.constants)[0]
-        buffers = sequence.load(number)
+        try:
+            buffers = sequence.load(number)
+        except CameraError:  # which is a finding of its own
+            buffers = sequence.load(number, cut=True)
         hit = np.isfinite(buffers.depth)
         self._count_non_finite(planes, hit, number)
         self._count_outside(planes, hit)

@@ -155,17 +155,16 @@ class Sequence:
         if key in self._kept:
             return replace(self._kept[key], cut=True) if cut else self._kept[key]
         buffers = self._load(number, color=color, also=also)
-        if cut:
-            return replace(buffers, cut=True)
-        if number - 1 in self.frames and (
-            self.static == "camera" or (self.background == "camera" and np.isinf(buffers.depth).any())
-        ):
+        by_camera = number - 1 in self.frames and (
+            self.static == "camera" or (self.background == "camera" and bool(np.isinf(buffers.depth).any()))
+        )
+        if by_camera and not cut:
             self._set_motion(buffers)
         size = sum(plane.nbytes for plane in vars(buffers).values() if isinstance(plane, np.ndarray))
-        if size <= self.keeps:
+        if size <= self.keeps and not (by_camera and cut):
             self._kept[key] = buffers
             self.keeps -= size
-        return buffers
+        return replace(buffers, cut=True) if cut else buffers
 
     def _set_motion(self, buffers: Buffers) -> None:
         """Set the motion that the camera gives; leave it if the frame before, without which no output uses it, cannot be read."""

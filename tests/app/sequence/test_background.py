@@ -234,6 +234,10 @@ def test_a_camera_that_no_output_needs_may_be_unknown(tmp_path, motion):
     assert "if a shot begins with frame 1, name it in --cuts" in result.stderr
     result = call(*run, tmp_path / "cut", "--cuts", "2", "--frames", "2:4")
     assert result.returncode == 0, result.stderr
+    report = check(folder, SequenceOptions("stss", **{motion[2:]: "camera"}))
+    (found,) = (f.text for f in report.findings if "name it in --cuts" in f.text)
+    assert found.startswith(str(demo_path(folder, 1)))
+    assert report.status == 1
     for number in (0, 1):
         demo_path(folder, number).unlink()
     result = call(*run, tmp_path / "alone")
