@@ -344,6 +344,11 @@ STRATEGIES = {
 }  # fmt: skip
 
 
+def strategy_of(stage):
+    assert stage in STRATEGIES, f"{stage}: no strategy; expected a row of STRATEGIES in tests/hostile/test_ports.py"
+    return STRATEGIES[stage]
+
+
 def weights_of(stage):
     return random_weights(0) if STAGES[stage].weights else None
 
@@ -370,7 +375,7 @@ def test_one_wrong_number_fails(stage, output):
     is_mask = STAGES[stage].outputs[output].kind == "uint8"
 
     @settings(max_examples=6 if STAGES[stage].weights else 25, database=None)
-    @given(STRATEGIES[stage], st.data())
+    @given(strategy_of(stage), st.data())
     def one(inputs, data):
         def plant(outputs):
             array = outputs[output]
@@ -410,7 +415,7 @@ def test_zeros_of_either_sign_and_lost_small_numbers_pass(stage):
                 array[np.abs(array) < np.finfo(np.float32).tiny] = -0.0
 
     @settings(max_examples=3 if STAGES[stage].weights else 15, database=None)
-    @given(STRATEGIES[stage])
+    @given(strategy_of(stage))
     def one(inputs):
         agrees(Judge(PlantedPort(change)), stage, inputs)
 
