@@ -23,7 +23,7 @@ from stss.run.job import folder_of, run
 from stss.run.options import RunOptions
 from stss.sequence.choose_weights import AUTO, choose_weights
 from stss.sequence.reader import Sequence, open_sequence
-from stss.weights.file import ANTIALIASED, BILINEAR, LoadedWeights, load
+from stss.weights.file import BILINEAR, REALTIME, LoadedWeights, load
 from stss_ground.output.folder import OutputFolder
 from stss_ground.output.places import require_places
 from stss_ground.progress import show_progress
@@ -168,11 +168,11 @@ def _write_page(out: Path, sequence: Sequence, comparisons: dict[str, Comparison
 
 
 def _test_device(weights: LoadedWeights | None, compute: ComputeOptions, tell: Callable[[str], None]) -> None:
-    """Let another process test the device; weights that are not chosen yet count as `ANTIALIASED`, which have the most layers."""
+    """Let another process test the device; weights that are not chosen yet are a set of ours, and both need the same layers."""
     from stss.devices.selection import choose  # opens the OpenCL library
     from stss.devices.trial import trial_for
 
-    choose(compute.device, tell, trial=ANTIALIASED if weights is None else trial_for(weights.weights))
+    choose(compute.device, tell, trial=REALTIME if weights is None else trial_for(weights.weights))
 
 
 def write_demo_sequence(

@@ -69,7 +69,7 @@ def test_the_device_is_tested_while_the_scene_is_rendered(tmp_path, monkeypatch,
     monkeypatch.setattr(demonstration, "open_backend", lambda name, weights, *_, **__: ReferenceBackend(zeros()))
     with pytest.raises(type(ends)) if ends else nullcontext():
         demonstration.demo(tmp_path, frames=frames, size=SIZE, console=Console(file=io.StringIO()))
-    assert tested == [("antialiased", 1)]
+    assert tested == [("realtime", 1)]
     assert (tmp_path / "page.html").exists() is not bool(ends)
     assert len([*tmp_path.glob("truth/*.exr")]) == (2 if ends else frames)
 
