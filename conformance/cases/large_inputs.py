@@ -53,8 +53,8 @@ FEW = 4
 MOST_HOLES = 8_000
 """About the largest number of holes in a frame for stage reshade that is judged as a whole: the reference looks at 289 pixels around
 each."""
-FINE = 2**14
-"""Parts of a pixel: float32 holds a motion of a few pixels with so many, and no place from column 1,024 on."""
+FINE = np.float32(2.0**-16)
+"""Pixels: a motion of a few pixels may be off a whole one by so little, and its float32 sum with a column from 256 on is whole then."""
 SHORT = 8
 """Longest motion of frames that are judged in windows; pixels."""
 MakeCase = Callable[[Generator], Any]
@@ -170,7 +170,7 @@ def frame_case(
 ) -> tuple[Inputs, Weights]:
     """Stage frame: motion is short, in quarters, or far, in whole pixels; surfaces coincide or are far apart: rounding decides no hole.
 
-    With ``fine`` motion the newest one is in fractions of a pixel that a sum with its column loses, and none is far: no other sum rounds.
+    With ``fine`` motion the newest one is off quarters by ``FINE``, and none is far, so that no sum of motions rounds.
     """
     count, single = steps[-1], np.float32
     far = np.round((rng.random((count, *size, 2), single) * single(1.8) - single(0.9)) * np.array(size[::-1], single))
@@ -180,7 +180,7 @@ def frame_case(
         rng.integers(-6, 7, (count, *size, 2), np.int8) / single(4),
     )
     if fine:
-        moved[0] += rng.integers(0, FINE // 4, (*size, 2), np.int16) / single(FINE)
+        moved[0] += rng.integers(-1, 2, (*size, 2), np.int8) * FINE
     positions = np.zeros((4, *size, 3), single)
     positions[..., 0] = single(256) * (rng.random((4, *size), single) < 0.02)
     inputs: Inputs = {
@@ -227,12 +227,15 @@ def _on_other_numbers(make: MakeCase, rng: Generator) -> Any:
     return make(rng.spawn(1)[0])
 
 
-def user_inputs(stage: str, most: int, side: int | None = None) -> tuple[MakeCase, ...]:
-    """The cases of a stage that are judged in windows, at sizes of users: none that a port does not take."""
+def user_inputs(stage: str, most: int, side: int | None = None, *, fine: bool = True) -> tuple[MakeCase, ...]:
+    """The cases of a stage that are judged in windows, at sizes of users: none that a port does not take.
+
+    ``fine`` is of `frame_case`, and not for ports in 16 bits, whose chained motion loses ``FINE``.
+    """
     sizes = [_fitting_size(stage, size) for size in user_sizes(stage, most, side)]
     if stage == "frame":
         # Stage reshade is judged at these sizes by itself: the reference's fill of so many holes takes longer than all the rest.
-        return tuple(partial(frame_case, size, second="detail", steps=(1, 2, 3), fine=True) for size in sizes)
+        return tuple(partial(frame_case, size, second="detail", steps=(1, 2, 3), fine=fine) for size in sizes)
     if stage in _IMAGE:
         return tuple(partial(_IMAGE[stage], short_motion, size) for size in sizes)
     return tuple(partial(network_case, stage, size) for size in sizes)

@@ -94,7 +94,9 @@ def agrees_in_windows(stage: str) -> Test:
         """A frame of 720 x 1280 or 1080 x 1920 agrees, too, around the corners of tiles, and in its last rows."""
         yield from judge.agrees_in_windows(stage, *(case if STAGES[stage].weights else (case,)))
 
-    return cases_of(lambda judge: user_inputs(stage, judge.tier.large, judge.largest_side))(body)
+    return cases_of(
+        lambda judge: user_inputs(stage, judge.tier.large, judge.largest_side, fine=judge.arithmetic.dtype == "float32")
+    )(body)
 
 
 def same_twice(stage: str, decorate: Callable[[Body], Test]) -> Test:
