@@ -1,7 +1,10 @@
 """The motion of the background: the findings of `stss check`, and the computation from the camera."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from conformance.scenes import SCENES, render
 from conformance.scenes.render import look
@@ -74,6 +77,18 @@ def test_a_background_that_is_not_finite_is_told(tmp_path, value, words):
     now.motion[~np.isfinite(now.depth)] = value
     [verdict] = measure_background(projection_of(before), projection_of(now), now)
     assert verdict.lines()[0][1].startswith(f"background: its motion is {words}")
+
+
+def test_a_background_that_was_behind_the_camera_counts_nowhere(tmp_path):
+    """After a turn by 75 degrees part of it has no motion; the rest is judged."""
+    sequence = open_sequence(write(tmp_path / "in", "pan"), "stss")
+    before, now = sequence.load(0), sequence.load(1)
+    turn = Rotation.from_euler("z", 75, degrees=True).as_matrix()
+    [level] = measure_background(projection_of(before), projection_of(now), now)
+    seen = projection_of(before)
+    [turned] = measure_background(replace(seen, axes=seen.axes @ turn), projection_of(now), now)
+    assert 0 < turned.share < level.share
+    assert np.isfinite([turned.turns, turned.error]).all()
 
 
 @pytest.mark.parametrize("scene", ["pan", "demo", "flythrough"])

@@ -62,6 +62,19 @@ def test_frames_say_how_they_were_sampled(rendered, kind, antialiased, reason):
     assert json.loads(report.to_json())["sampling"]["antialiased"] is antialiased
 
 
+def test_edges_are_seen_along_all_axes(tmp_path):
+    """The verdict does not depend on the names of the axes."""
+    reasons = set()
+    for turned in range(3):
+        (tmp_path / str(turned)).mkdir()
+        for number in range(2):
+            frame = render(DEMO, number, *SIZE, samples=9)
+            frame = replace(frame, normal=np.roll(frame.normal, turned, axis=-1))
+            write_channels(demo_path(tmp_path / str(turned), number), frame_channels(frame, rendered=number == 0))
+        reasons.add(judge_sampling(open_sequence(tmp_path / str(turned), "stss")).reason)
+    assert len(reasons) == 1
+
+
 @pytest.mark.parametrize("compression", ["zip", "pxr24", "dwaa:45", "dwab:200", "dwaa"])
 @pytest.mark.parametrize("kind", ["aliased", "all"])
 def test_mixed_normals_are_seen_behind_lossy_compression(rendered, tmp_path, kind, compression):
