@@ -26,7 +26,7 @@ NOT_RUN = {
     r"make( [a-z-]+)?$": "installs; each target is in the Makefile, which another test here looks up; CI runs demo, check and test",
     r"(.*/)?(pip|uvx|npm|apt|apt-get|git|ln|podman|docker) ": "installs or fetches",
     r"\. \.venv/bin/activate": "for the shell of the reader",
-    r"python (-m training|training/)|[ct]=|[STU]=|\$[STU] |for |done$|case |name=": "hours, and PyTorch; tests/training runs the programs",
+    r"python (-m training|training/)|[ct]=|[RSTU]=|\$[RSTU] |for |done$|case |name=": "hours, and PyTorch; tests/training runs the programs",
     r"python render\.py": "Blender, and an older commit",
     r"python blender/measure_saving\.py": "Blender; tests/app/blender/test_blender_extension.py runs it where bpy is",
     r"blender --(command|background)": "Blender's program; tests/app/blender/test_blender_extension.py does the same in bpy",
@@ -45,7 +45,7 @@ NOT_RUN = {
 """The beginning of a line -> the reason not to run it here."""
 FRAMES = ("frames", "shot", "lr", "LR", "SEQUENCE", "FRAMES")
 TRUTH = ("truth", "full", "hr", "HR", "TRUTH")
-SIZE, COUNT = (16, 24), 12
+SIZE, COUNT = (16, 24), 16
 
 
 def blocks():
@@ -131,7 +131,7 @@ def provide(prepared, words):
             shutil.copy(SHIPPED["realtime"], path)
         elif path.name in FRAMES + TRUTH and not path.exists():
             shutil.copytree(prepared / ("truth" if path.name in TRUTH else profile), path)
-        elif flag == "--with":
+        elif flag == "--with" and not path.exists():
             shutil.copytree(prepared / "truth", path)  # frames of the reader's program
         elif words[0] == "compare" and path.name == "out" and not path.exists():
             shutil.copytree(prepared / "made", path)
