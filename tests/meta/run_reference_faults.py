@@ -148,8 +148,9 @@ def plant(module, source):
 
 def put_function(old, new):
     old, new = inspect.unwrap(old), inspect.unwrap(new)
+    old.__defaults__, old.__kwdefaults__ = new.__defaults__, new.__kwdefaults__
     if not old.__code__.co_freevars:
-        old.__code__, old.__defaults__, old.__kwdefaults__ = new.__code__, new.__defaults__, new.__kwdefaults__
+        old.__code__ = new.__code__
 
 
 class Faults:

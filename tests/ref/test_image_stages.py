@@ -108,6 +108,22 @@ class TestMotionChain:
         first[0, 0] = 0.25
         assert motion_chain(np.stack([first, earlier]))[0, 0].tolist() == [0.25, -2.75]
 
+    def test_each_component_counts_for_the_length(self):
+        for longest in ([4.0, 0], [0, 4.0]):
+            earlier = np.array([[[1.0, 1], [2, -2]], [[-3, 3 / 4], longest]])
+            assert motion_chain(np.stack([np.zeros((2, 2, 2)), earlier]))[0, 0].tolist() == longest
+
+    def test_beyond_the_right_and_the_lower_border_all_is_still(self):
+        chained = motion_chain(np.stack([np.zeros((2, 3, 2)), constant((2, 3), 1, 2)]))
+        assert chained[..., 1].tolist() == [[2, 2, 0], [0, 0, 0]]
+
+    def test_between_the_pixels_0_and_1_left_of_the_frame(self):
+        """Truncated, a place between -1 and 0 is 0: columns 0 and 1 are read."""
+        earlier = np.stack([[[1.0, 0], [2, 0], [3, 0]]] * 2)
+        first = np.zeros((2, 3, 2))
+        first[0, 0, 0] = -0.5
+        assert motion_chain(np.stack([first, earlier]))[0, 0].tolist() == [1.5, 0]
+
     def test_a_still_pixel_stops_the_chain(self):
         earlier = np.array([[[1.0, 0], [0, -3]], [[0, 0], [-1, 1]]])
         first = np.full((2, 2, 2), 0.25)
@@ -167,6 +183,12 @@ def slope(size=(4, 4), step=(3.0, 4.0), lift=0.0):
 
 
 class TestHoles:
+    @pytest.mark.parametrize(("moved", "valid"), [(0.3, True), (0.375, False), (0.4, False)])
+    def test_a_third_of_another_object_is_a_hole(self, moved, valid):
+        """The earlier stencil is read between the pixels: between 0 and 1 it is the way to the other object."""
+        inputs = hole_inputs((2, 4), motion=constant((2, 4), moved, 0), stencil_previous=np.tile([0, 0, 1, 1], (2, 1)))
+        assert holes(**inputs)[0, 1] == valid
+
     def test_an_unmoved_scene_has_none(self):
         assert holes(**hole_inputs()).all()
 
