@@ -8,21 +8,18 @@ import jsonschema
 import pytest
 
 import conformance.report
-import stss_ref
 from conformance.judging.judge import Judge, Tier
 from conformance.judging.known_failures import KnownFailuresError, read_known
 from conformance.mistakes import find
-from conformance.protocol.layers import LAYERS_OF
-from conformance.protocol.stages import STAGES
 from conformance.report.case_archive import write_cases
 from conformance.report.report import to_json
-from conformance.suite.run_suite import SUITE, run_suite
+from conformance.suite.run_suite import run_suite
 from stss.port import ReferencePort
+from tests.meta.write_stages import COMMAND, texts
 
 FOLDER = Path(conformance.report.__file__).parent / "schemas"
 PAGE = Path(__file__).parents[2] / "docs" / "ports.md"
 FEW = Tier("quick", 12, 3, 1)
-DESCR = {"float": "<f4", "uint8": "|u1", "int": "<i4"}
 KNOWN_FAILURES = {"format": 1, "failures": [{"test": "warp.the_same_twice", "until": "2999-01-01", "reason": "why"}]}
 
 NAMED = {"stages", "inputs", "outputs", "layers", "error_over_bound"}
@@ -93,31 +90,9 @@ def test_less_or_more_does_not_fit(samples, name):
         assert faults(more, rules), path
 
 
-def test_the_table_of_stages_is_that_of_the_judge():
-    def arrays(specs):
-        return {
-            name: {"shape": [str(dim) if dim.letter else dim.times for dim in spec.dims], "descr": DESCR[spec.kind]}
-            for name, spec in specs.items()
-        }
-
-    stages = {
-        s.name: {
-            "weights": s.weights,
-            "inputs": arrays(s.inputs),
-            "outputs": arrays(s.outputs),
-            "layers": arrays(LAYERS_OF.get(s.name, {})),
-        }
-        for s in STAGES.values()
-    }
-    data = json.loads((FOLDER / "stages.json").read_text())
-    assert data == {"format": 1, "specification": stss_ref.SPEC_VERSION, "stages": stages}
-    assert list(data["stages"]) == list(STAGES)
-
-
-def test_the_schemas_know_all_stages():
-    assert schema("results")["properties"]["not_judged"]["items"]["enum"] == [*SUITE]
-    assert schema("results")["properties"]["tests"]["items"]["properties"]["stage"]["enum"] == [*SUITE, "suite"]
-    assert schema("stages")["properties"]["stages"]["propertyNames"]["enum"] == [*STAGES]
+def test_what_follows_from_the_stages_is_written():
+    for path, text in texts():
+        assert path.read_text(encoding="utf-8") == text, f"{path}: {COMMAND} writes it"
 
 
 @pytest.mark.parametrize(

@@ -171,21 +171,6 @@ def test_the_command(job):
     assert result.stderr.splitlines() == [f"stss: {folder / '0000' / 'in' / 'color.npy'}: missing; in holds motion.npy"]
 
 
-def row(stage):
-    """The stage's row of docs/ports.md."""
-
-    def cell(specs):
-        suffix = {"float": "", "uint8": " uint8", "int": " int32"}
-        return "<br>".join(f"`{name}` {spec}{suffix[spec.kind]}" for name, spec in specs.items())
-
-    return f"| `{stage.name}` | {cell(stage.inputs)} | {'yes' if stage.weights else ''} | {cell(stage.outputs)} |"
-
-
-def test_the_page_has_the_table():
-    rows = [line for line in DOCS.read_text().splitlines() if re.match(r"\| `\w", line) and line.count("|") == 5]
-    assert rows == [row(stage) for stage in STAGES.values()]
-
-
 def test_the_page_can_be_followed(tmp_path):
     """Its Python runs as it stands there, one block after the other, with our program for the reader's."""
     blocks = re.findall(r"```python\n(.*?)```", DOCS.read_text(), flags=re.DOTALL)
