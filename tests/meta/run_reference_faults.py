@@ -21,11 +21,8 @@ import pytest
 from _pytest.runner import runtestprotocol
 
 ROOT = Path(__file__).parents[2]
-MODULES = (
-    *("accumulate", "arrays", "constants", "conv", "decoder", "depth", "detail", "encoder", "erm", "frame", "history", "holes"),
-    *("loss", "motion_chain", "network", "occlusion_warp", "resample", "reshade", "rrm", "sample", "schedule", "warp"),
-)
-"""The modules that compute; ``weights`` is a table that the network's shapes check, ``watch`` only records."""
+MODULES = tuple(sorted({path.stem for path in (ROOT / "stss_ref").glob("*.py")} - {"__init__", "weights"}))
+"""The modules that compute; ``weights`` is a table that the network's shapes check."""
 SAME = {
     "accumulate: np.arange(length) + step -> np.arange(length) - step": "the steps are as many either way",
     "arrays: strict=True -> strict=False": "the lengths were compared before",
