@@ -72,6 +72,15 @@ def test_each_is_near_the_reference(name, stage):
     assert different == (stage in DIFFERENT[name])
 
 
+@pytest.mark.parametrize("stage", [stage.name for stage in STAGES.values() if not stage.weights])
+def test_what_is_stored_in_half_is_half(stage):
+    """All that the stages of image space give; the network's image is a sum that is stored in float32."""
+    for inputs, *_ in samples_of(stage, "float16"):
+        for name, array in port_of("half_flush").run(stage, inputs).items():
+            is_half = np.array_equal(array, others.to_half(array), equal_nan=array.dtype.kind == "f")
+            assert is_half, f"{stage}.{name} is float32: expected a plant of half in tests/meta/right_ports.py"
+
+
 @pytest.mark.parametrize("stage", every(4, sorted({*SUITE} - {"rrm"})))
 def test_what_needs_no_reference_holds_for_it(stage):
     """Whole frames as often as in the quick tier. Comparisons with the reference have other tests, and ``make alarms``."""

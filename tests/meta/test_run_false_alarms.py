@@ -16,7 +16,8 @@ from tests.meta.run_false_alarms import judged, main, stands_for
 from tests.tiers import thorough
 
 JUDGED = {
-    "orders": ["motion_chain", "warp", "holes", "reshade", "accumulate"],
+    "orders": ["warp", "holes", "reshade", "accumulate"],
+    "double": ["motion_chain"],
     "flush": ["rrm", "history"],
     "fma": ["decoder", "frame"],
     "half_flush": ["occlusion_warp", "erm"],
@@ -36,6 +37,9 @@ def test_no_false_alarm(name):
 
 def test_every_stage_is_judged():
     assert sorted(stage for stages in JUDGED.values() for stage in stages) == sorted(STAGES)
+    for name, stages in JUDGED.items():
+        others = [stage for stage in stages if stands_for(name, stage) != name]
+        assert not others, f"{name} has no arithmetic of its own at {others}; expected it in tests/meta/right_ports.py"
 
 
 def test_a_key_may_lose_what_is_no_normal_number():
