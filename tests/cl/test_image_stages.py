@@ -9,10 +9,11 @@ from hypothesis import strategies as st
 
 from conformance.cases import stage_inputs as drawn
 from conformance.cases.planes import SEEDS, motions, sizes
+from conformance.protocol.stages import reference
 from stss_cl.device.buffers import inputs_for, read
 from stss_cl.image_space.accumulate import Accumulate
 from stss_cl.image_space.prepare import FINITE, Prepare, PrepareOptions
-from stss_cl.image_space.stages import ImageStages
+from stss_cl.image_space.stages import STAGES, ImageStages
 from stss_ref.accumulate import accumulate
 from stss_ref.arrays import ArrayError
 from stss_ref.frame import FrameInputs, prepare
@@ -21,6 +22,7 @@ from stss_ref.occlusion_warp import occlusion_warp, splat
 from stss_ref.resample import downsample_8, pad_to_8
 from stss_ref.reshade import reshade
 from tests.cl.films import frame_inputs as noise
+from tests.meta.samples import samples
 from tests.tiers import thorough
 
 BROKEN = (np.nan, np.inf, -np.inf, 3e38, -3e38, -0.0, 1e-42)
@@ -67,6 +69,17 @@ def assert_same(got, want):
     """Same dtype, shape and bits, but for the sign of 0, the payload of NaN, and numbers below ``TINY``."""
     assert got.dtype == want.dtype
     np.testing.assert_array_equal(without_tiny(got), without_tiny(want))
+
+
+@pytest.mark.parametrize("stage", STAGES)
+def test_each_stage_alone(stages, stage):
+    for case in samples(stage):
+        inputs = {name: without_tiny(array) for name, array in case.inputs.items()}
+        with np.errstate(invalid="ignore", over="ignore"):
+            want = reference(stage, inputs)
+        got = stages.run_stage(stage, inputs)
+        for name, array in want.items():
+            assert_same(got[name], array)
 
 
 def test_what_is_subnormal_is_0(stages):

@@ -22,7 +22,7 @@ from stss_cl.device.discovery import open_device
 from stss_cl.device.tuning import BUILT_IN, built_in_rows, trial
 from stss_cl.image_space.accumulate import Accumulate
 from stss_cl.image_space.output import OutputKernels
-from stss_cl.image_space.stages import ImageStages
+from stss_cl.image_space.stages import STAGES, ImageStages
 from stss_cl.network import conv_gpu
 from stss_cl.network.conv import ConvSpec, conv
 from stss_cl.network.network import Network
@@ -30,6 +30,7 @@ from stss_cl.network.pack_weights import Packed
 from stss_cl.skip.stream import Stream
 from tests.cl.conftest import watch_launches
 from tests.cl.films import WEIGHTS, calls_of, film, halve, network_inputs
+from tests.meta.samples import samples
 
 KERNELS = Path(__file__).parents[2] / "kernels"
 REPORT = re.compile(r"^(?=Invalid|Uninitialized|Read-write|Write-write|Work-group|Error|\w+ data race)", re.MULTILINE)
@@ -127,37 +128,19 @@ def stream(precision):
 
 
 def stages(device):
-    random = np.random.default_rng(2)
-    for size in ((1, 1), (3, 5), (9, 13)):
-        channels = {
-            "color": 3,
-            "warped": 3,
-            "motion": 2,
-            "normal": 3,
-            "normal_previous": 3,
-            "position": 3,
-            "position_previous": 3,
-            "base_color": 3,
-        }
-        inputs = {name: random.normal(0, 2, (*size, count)).astype(np.float32) for name, count in channels.items()}
-        flat = ("depth", "nov", "stencil", "stencil_previous", "valid")
-        inputs |= {name: random.integers(0, 2, size).astype(np.float32) for name in flat}
-        inputs |= {
-            "motions": random.normal(0, 2, (3, *size, 2)).astype(np.float32),
-            "rectangle": np.array([0, 0, 1, 1]),
-            "paper": np.zeros(1),
-        }
-        image, *earlier = random.normal(0, 2, (3, 2 * size[0], 2 * size[1], 3)).astype(np.float32)
-        mixed = inputs | {"image": image, "earlier": np.stack(earlier), "motions": inputs["motions"][:2]}
-        for stage in ("motion_chain", "warp", "holes", "occlusion_warp", "reshade", "rrm", "accumulate"):
-            yield from ImageStages(device).run_stage(stage, mixed if stage == "accumulate" else inputs).values()
-        yield Accumulate(device)(image, earlier, mixed["motions"])
-        output = OutputKernels(device)
-        for motion, srgb, highlights in ((inputs["motion"], True, "color"), (None, False, None)):
-            color, carried = output.deliver(
-                image, {"color": np.abs(inputs["color"])}, motion, srgb=srgb, highlights=highlights, white=WHITE
-            )
-            yield from (color, *carried.values())
+    """The stages of image space on a sample of each size; images mixed in turns, and delivered."""
+    for stage in STAGES:
+        for case in {next(iter(case.inputs.values())).shape: case for case in samples(stage)}.values():
+            yield from ImageStages(device).run_stage(stage, case.inputs).values()
+    random, output = np.random.default_rng(2), OutputKernels(device)
+    for height, width in ((1, 1), (3, 5), (9, 13)):
+        image, *earlier = random.random((3, 2 * height, 2 * width, 3), np.float32)
+        color, motions = random.random((height, width, 3), np.float32), random.normal(0, 2, (2, height, width, 2))
+        motions = motions.astype(np.float32)
+        yield Accumulate(device)(image, earlier, motions)
+        for motion, srgb, highlights in ((motions[0], True, "color"), (None, False, None)):
+            delivered, carried = output.deliver(image, {"color": color}, motion, srgb=srgb, highlights=highlights, white=WHITE)
+            yield from (delivered, *carried.values())
 
 
 def conversions(device):
