@@ -19,7 +19,7 @@ from stss.sequence.background import MOTION_SOURCES
 from stss.sequence.choose_weights import AUTO
 from stss.sequence.find_files import MAX_DIGITS
 from stss.sequence.reader import SequenceOptions
-from stss_cl.options import PRECISIONS, SKIPS, Precision, Skip
+from stss_cl.options import PRECISIONS, SKIPS
 from stss_ground.commands import group_options
 from stss_ground.option_kinds import Names, Number, ReadName, ReadPath
 from stss_ground.terminal import echo
@@ -154,13 +154,13 @@ def frame_options(command: Command) -> Command:
 
 def backend_options(command: Command) -> Command:
     """Add the options of commands that compute frames; the command gets ``backend`` and ``compute``, a ``ComputeOptions``."""
+    names = [each.name for each in fields(ComputeOptions)]
 
     @wraps(command)
-    def collect(
-        *, device: str | None, precision: Precision, memory_limit: int | None, skip: Skip, accumulate: bool | None, **others: Any
-    ) -> Any:
-        limit = None if memory_limit is None else memory_limit << 20
-        return command(**others, compute=ComputeOptions(device, precision, limit, skip, accumulate))
+    def collect(*, memory_limit: int | None, **options: Any) -> Any:
+        options["memory_limit"] = None if memory_limit is None else memory_limit << 20
+        compute = ComputeOptions(**{name: options.pop(name) for name in names})
+        return command(**options, compute=compute)
 
     options = (
         click.option("--backend", type=click.Choice(BACKENDS), default="cl", show_default=True, help="OpenCL, or the reference."),
