@@ -117,7 +117,7 @@ def test_right_ports_pass(name):
         assert judged(right_ports.port(name), constant)[0] == "", constant.name
 
 
-def test_the_table_is_complete():
+def test_every_number_is_a_constant_that_has_plants():
     """Every constant has a plant, and every number of the reference's stages but 1/2, the place between two pixels, is a constant."""
     assert PLANTS.keys() == {constant.name for constant in CONSTANTS}
     values = {float(constant.value) for constant in CONSTANTS}
