@@ -1,5 +1,6 @@
 """A stage that was added in part: what is missing is named by its file, as CONTRIBUTING lists the parts."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from conformance.reference_port import ReferencePort
 from conformance.suite import run_suite as suite
 from tests.meta.samples import AHEAD, samples
 
+ROOT = Path(__file__).parents[2]
 EXAMPLES = {
     "conformance/examples/cpp/port.cpp": '{"STAGE", run_STAGE}',
     "conformance/examples/cpp/README.md": "| `STAGE` |",
@@ -49,9 +51,15 @@ def test_every_stage_has_mistakes_and_every_one_of_image_space_terms():
     assert {*TERMS} == {stage.name for stage in STAGES.values() if not stage.weights}, "conformance/explain/terms.py"
 
 
+def test_every_bound_of_the_answers_is_derived_on_the_page():
+    answers = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "conformance" / "answers").glob("*.py"))
+    page = (ROOT / "docs" / "conformance.md").read_text(encoding="utf-8")
+    assert not [name for name in re.findall(r'BOUNDS\["([^"]+)"\]', answers) if f"`{name}`" not in page]
+
+
 @pytest.mark.parametrize("file", EXAMPLES)
 def test_every_stage_is_in_the_examples(file):
     """Before their own tests, which need a compiler or a device, say so."""
-    text = (Path(__file__).parents[2] / file).read_text(encoding="utf-8")
+    text = (ROOT / file).read_text(encoding="utf-8")
     missing = [stage for stage in STAGES if stage not in AHEAD and EXAMPLES[file].replace("STAGE", stage) not in text]
     assert not missing, f"{file}: expected {', '.join(missing)}, or AHEAD of tests/meta/samples.py to name it"
