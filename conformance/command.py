@@ -18,6 +18,7 @@ from stss_ground.arguments import suggest
 from stss_ground.commands import Subcommand
 from stss_ground.errors import InputError
 from stss_ground.exit_status import run_guarded
+from stss_ground.freed_memory import keep_freed_memory
 from stss_ground.one_thread import take_one_thread
 from stss_ground.option_kinds import MAX_SECONDS, MAX_SEED, Names, Number, Program, ReadPath, Size, WrittenFile, WrittenFolder
 from stss_ground.optional import require as require_package
@@ -330,6 +331,7 @@ judge_alone.add_command(conform)
 def main() -> None:
     """Run the command."""
     take_one_thread()
+    keep_freed_memory()
     from stss_ref.arrays import ArrayError
     from stss_ref.weights import WeightsError
 

@@ -12,6 +12,10 @@ def main() -> None:
             from stss_ground.one_thread import take_one_thread
 
             take_one_thread()
+        if sys.argv[1:2] in (["conform"], ["port"]):
+            from stss_ground.freed_memory import keep_freed_memory
+
+            keep_freed_memory()
         from stss.cli.main import main as run
 
         run()
