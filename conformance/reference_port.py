@@ -3,9 +3,9 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import sys
+from collections import deque
 from pathlib import Path
 from typing import Any
 
@@ -114,15 +114,14 @@ class WeightsFiles:
     """Weights files, each read once: many cases of a job share one, and a backend uploads the same object only once."""
 
     def __init__(self):
-        self._weights: dict[str, Weights] = {}
+        self._read: deque[tuple[bytes, Weights]] = deque(maxlen=CACHED_WEIGHTS)
 
     def read(self, case: Path) -> Weights:
         """The weights of a case; JobError if they are damaged."""
         path = case / "in" / WEIGHTS
         data = read_bytes(path, MOST_WEIGHTS_BYTES)
-        digest = hashlib.sha256(data).hexdigest()
-        if digest not in self._weights:
-            if len(self._weights) == CACHED_WEIGHTS:
-                self._weights.pop(next(iter(self._weights)))
-            self._weights[digest] = read_weights(data, path)
-        return self._weights[digest]
+        for known, weights in self._read:  # to compare takes a tenth of the time of a hash
+            if known == data:
+                return weights
+        self._read.append((data, read_weights(data, path)))
+        return self._read[-1][1]

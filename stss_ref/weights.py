@@ -252,8 +252,9 @@ def _check_one(name: str, tensor: NDArray[Any]) -> Array:
     require_shape(name, tensor.shape)
     if tensor.dtype != np.float32:
         raise WeightsError(f"{name}: expected dtype float32, got {tensor.dtype}")
-    bad = np.argwhere(~np.isfinite(tensor))
-    if len(bad):
+    finite = np.isfinite(tensor)
+    if not finite.all():
+        bad = np.argwhere(~finite)
         first = tuple(int(i) for i in bad[0])
         raise WeightsError(f"{name}: {len(bad)} non-finite values, first at index {first}")
     return _frozen(tensor)

@@ -386,7 +386,7 @@ def _map_file(path: Path) -> AnyArray:
         raise JobError(f"{path}: {'not a file' if path.exists() else f'missing; {_others(path.parent)}'}")
     try:
         _require_short_header(path)
-        array = np.lib.format.open_memmap(path, mode="r")
+        array = np.lib.format.open_memmap(os.fspath(path), mode="r")  # NumPy resolves a Path, which takes longer than the rest
     except Exception as error:
         # A stranger's text, which NumPy evaluates as a literal: it raises more than ValueError.
         raise JobError(f"{path}: not a .npy file of numbers: {_first_line(error)}") from error
