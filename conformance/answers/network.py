@@ -23,7 +23,7 @@ from conformance.protocol.port import Arrays, Outputs
 from conformance.protocol.reference_copy import reference_layers
 from conformance.protocol.stages import STAGES, check_inputs
 from conformance.tolerance import BOUNDS, UNIT
-from stss_ref.weights import Tensors, Weights, astype
+from stss_ref.weights import TENSORS, Tensors, Weights, astype
 
 Errors = tuple[NDArray[Any] | float, NDArray[Any] | float]
 """(H, W, 6) the largest errors of a port's colours: by their own rounding, and by that of the motion that reads them."""
@@ -37,10 +37,10 @@ SPARSE = {"erm": 3}
 """Factor of that number for a stage with all numbers at 1/8 size, since many of its windows would be cut."""
 RUNS = 3
 """Runs with changed weights; every number of every output is a sample."""
-MOST_SETS = 8
-"""Sets of weights whose changed forms are kept: cases share them."""
-_forms: dict[tuple[int, Arithmetic], tuple[Weights, tuple[Weights, list[Weights], Weights]]] = {}
-"""By the identity of a set, which is kept alive, so that no other set gets its address."""
+MOST_SETS = 16
+"""Sets of weights whose changed forms are kept: the drawn cases have one fewer."""
+_forms: dict[tuple[Any, ...], tuple[Weights, tuple[Weights, list[Weights], Weights]]] = {}
+"""By the identities of a set's arrays, which are kept alive, so that no other array gets their addresses."""
 
 
 def expect_with_weights(
@@ -143,9 +143,11 @@ def layer_change(terms: int, arithmetic: Arithmetic) -> float:
 
 
 def _variants(weights: Weights, arithmetic: Arithmetic) -> tuple[Weights, list[Weights], Weights]:
-    """The weights in float64: as they are, with changes of the size of rounding, and with all gates open; those of the last few sets."""
-    key = id(weights), arithmetic
-    if key not in _forms:
+    """The weights in float64: as they are, with changes of the size of rounding, and with all gates open; of the sets used last."""
+    key = arithmetic, *(id(weights[name]) for name in TENSORS)
+    if key in _forms:
+        _forms[key] = _forms.pop(key)
+    else:
         if len(_forms) == MOST_SETS:
             _forms.pop(next(iter(_forms)))
         exact, random = astype(weights, np.dtype(np.float64)), np.random.default_rng(0)

@@ -72,9 +72,13 @@ class Arithmetic:
         return np.ascontiguousarray(numbers.astype(np.float32))
 
     def normal(self, x: NDArray[Any]) -> NDArray[Any]:
-        """`rounded`, and 0 for subnormal numbers: a port may have 0 there, and the direction of a key of such numbers is lost."""
+        """`rounded`, and 0 for subnormal numbers: a port may have 0 there, and the direction of a key of such numbers is lost.
+
+        ``x`` itself where no number changes, so that weights that share arrays go on doing so.
+        """
         numbers = self.rounded(x)
-        return np.where(np.abs(numbers) < self.tiny, numbers.dtype.type(0), numbers)
+        lost = (np.abs(numbers) < self.tiny) & (numbers != 0)
+        return np.where(lost, numbers.dtype.type(0), numbers) if lost.any() else numbers
 
     def _store(self, x: NDArray[Any]) -> NDArray[Any]:
         """``x`` in the arithmetic's numbers, the nearest, ties to even."""

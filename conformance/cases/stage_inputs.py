@@ -15,7 +15,7 @@ from conformance.scenes import SCENES, Rendered, render
 from stss_ref.constants import EARLIER_SHARES, HOLE_FILLS, HOLE_TESTS, HoleFill, HoleLimits, HoleTest
 from stss_ref.holes import squared_footprint
 from stss_ref.reshade import COSINE, FOOTPRINTS, STATIC_COSINE
-from stss_ref.weights import SECOND_COLORS, TENSORS, SecondColor, Weights, random
+from stss_ref.weights import SECOND_COLORS, TENSORS, SecondColor, Tensors, Weights, check, random
 
 Plane = NDArray[Any]
 Inputs = dict[str, Plane]
@@ -353,7 +353,7 @@ def frame_weights(draw: st.DrawFn) -> Weights:
     return make_weights(kind, 0, second, test, fill)
 
 
-@lru_cache(32)
+@lru_cache(128)
 def make_weights(
     kind: str,
     seed: int,
@@ -361,7 +361,15 @@ def make_weights(
     test: HoleTest = "footprint",
     fill: HoleFill = "occlusion_warp",
 ) -> Weights:
-    """Weights of ``stss_ref.weights.random``, as they are, thinned out, enlarged, or with keys near the clamps of spec 8."""
+    """Weights of ``stss_ref.weights.random``, as they are, thinned out, enlarged, or with keys near the clamps of spec 8.
+
+    Those that differ in their choices alone share their arrays.
+    """
+    return Weights(_tensors(kind, seed), second, test, fill)
+
+
+@lru_cache(32)
+def _tensors(kind: str, seed: int) -> Tensors:
     tensors = dict(random(seed))
     rng = np.random.default_rng(seed)
     for name in TENSORS:
@@ -371,7 +379,7 @@ def make_weights(
             tensors[name] = tensors[name] * np.float32(2)
         elif kind in ("small keys", "faint keys") and name.startswith("KEncoder.4"):
             tensors[name] = tensors[name] * np.float32(1e-6 if kind == "small keys" else 1e-11)
-    return Weights(tensors, second, test, fill)
+    return check(tensors).tensors
 
 
 def _stencil(rng: np.random.Generator, size: Size, kind: str) -> NDArray[np.float64]:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import strategies as st
 
+from conformance.answers import network
 from conformance.answers.by_stage import expect
 from conformance.answers.expected import largest
 from conformance.answers.frame import detail_errors
@@ -16,9 +17,13 @@ from conformance.answers.network import expect_with_weights
 from conformance.answers.port_arithmetic import Arithmetic, reach, sum_error
 from conformance.answers.warp import within_frame
 from conformance.cases.large_inputs import frame_case, network_case
+from conformance.cases.stage_inputs import make_weights
+from conformance.judging.judge import Judge
 from conformance.protocol.reference_copy import load, returns
 from conformance.protocol.stages import network_inputs
+from conformance.reference_port import ReferencePort
 from conformance.tolerance import BOUNDS, worst
+from stss_ref.constants import HOLE_FILLS
 from stss_ref.detail import detail
 from tests.meta.right_ports import cook_toom
 
@@ -132,3 +137,31 @@ def test_the_order_of_tensors_changes_no_bound():
     assert {name: (each.allowed, each.rms) for name, each in one.items()} == {
         name: (each.allowed, each.rms) for name, each in other.items()
     }
+
+
+def test_weights_that_share_their_arrays_are_changed_once(monkeypatch):
+    """Weights of other choices have the same bounds; one with another tensor has its own, whatever was asked before."""
+    changed = []
+    monkeypatch.setattr(
+        "conformance.answers.network._changes", lambda *arguments, make=network._changes: changed.append(1) or make(*arguments)
+    )
+    monkeypatch.setattr("conformance.answers.network._forms", {})
+    inputs, _ = network_case("history", (8, 16), np.random.default_rng(0))
+    judge = Judge(ReferencePort())
+    one, other = (make_weights("random", 1, fill=fill) for fill in HOLE_FILLS[:2])
+    bias = {"lowlevelGated.conv_feature.bias": one["lowlevelGated.conv_feature.bias"] + np.float32(100)}
+    first, again, another = (judge.right("history", inputs, each)["feature"] for each in (one, other, one | bias))
+    assert len(changed) == 2
+    assert again.allowed == first.allowed
+    np.testing.assert_array_equal(again.want, first.want)
+    assert another.allowed > 2 * first.allowed
+    assert np.abs(another.want - first.want).max() > 10
+
+
+@pytest.mark.parametrize("dtype", ["float32", "float16", "bfloat16"])
+def test_weights_too_small_to_be_normal_are_0(dtype):
+    arithmetic = Arithmetic(dtype)
+    small = np.array([arithmetic.tiny / 2, -arithmetic.spacing, arithmetic.tiny, 0, 1], np.float32)
+    np.testing.assert_array_equal(arithmetic.normal(small), np.array([0, 0, arithmetic.tiny, 0, 1], np.float32))
+    kept = small[2:].copy()
+    assert (arithmetic.normal(kept) is kept) == (dtype == "float32")
