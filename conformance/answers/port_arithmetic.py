@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from conformance.protocol.port import Arrays
 from conformance.tolerance import BOUNDS, UNIT
 from stss_ref.arrays import Plane
 from stss_ref.sample import Index, Place, follow
@@ -87,6 +88,11 @@ class Arithmetic:
         bits = x.astype(np.float32).view(np.uint32)
         nearest = (bits + 0x7FFF + (bits >> 16 & 1) & 0xFFFF0000).view(np.float32)
         return np.where(np.isnan(x), np.float32(np.nan), nearest)
+
+
+def in_float64(arrays: Arrays) -> dict[str, NDArray[Any]]:
+    """The same numbers in float64, for the reference; masks and integers as they are."""
+    return {name: array.astype(np.float64, copy=False) if array.dtype.kind == "f" else array for name, array in arrays.items()}
 
 
 @dataclass(frozen=True)

@@ -15,17 +15,19 @@ from numpy.typing import NDArray
 
 from conformance.answers.by_stage import expect
 from conformance.answers.expected import Expected
-from conformance.answers.network import expect_with_weights, part_of
-from conformance.answers.port_arithmetic import Arithmetic
+from conformance.answers.network import SAMPLE, SPARSE, expect_with_weights
+from conformance.answers.port_arithmetic import Arithmetic, in_float64
 from conformance.protocol.array_specs import ArraySpec
 from conformance.protocol.layers import PADDED
 from conformance.protocol.port import Outputs
 from conformance.protocol.reference_copy import load, put
-from conformance.protocol.stages import STAGES, check_inputs
+from conformance.protocol.stages import STAGES, check_inputs, network_inputs
 from stss_ref.resample import lerp_along, pad_to_8
 from stss_ref.weights import Weights
 
 Inputs = dict[str, NDArray[Any]]
+Part = tuple[slice, slice]
+"""Rows and columns of a frame."""
 REACH = {"network": 112, "history": 48, "encoder": 40, "erm": 40, "decoder": 32}
 """Input pixels, at most, from an output pixel to the inputs of its value, in multiples of 8: 43 of history, 37 of encoder, 40 of erm, 30 of
 decoder, and the last three together."""
@@ -46,7 +48,7 @@ class Window:
     outputs: dict[str, tuple[tuple[slice, ...], Expected]]
 
 
-def places(height: int, width: int) -> list[tuple[slice, slice]]:
+def places(height: int, width: int) -> list[Part]:
     """The windows of a frame: the first and the last corner of tiles in it, the first of halves and of thirds, and the last rows' end."""
     half = SIDE // 2
     corners = [(y - half, x - half) for y in range(TILE, height - half + 1, TILE) for x in range(TILE, width - half + 1, TILE)]
@@ -61,39 +63,52 @@ def expect_windows(
     """The right answers of a stage in the windows of a large frame.
 
     Args:
-        stage: any but ``frame``, whose network is judged in its place.
-        inputs: float64, larger than two windows and their reach both ways; motion is no longer than 8 pixels.
+        stage: its name; of ``frame`` the motion is in whole pixels and parts of them that no sum rounds.
+        inputs: as the port gets them, larger than two windows and their reach both ways; motion is no longer than 8 pixels.
         weights: float32.
         arithmetic: of the port.
         outputs: the port's answer, since one output may depend on the port's own choice in another.
     """
     sizes = check_inputs(stage, inputs)
-    windows = places(sizes["H"], sizes["W"])
+    height, width = sizes["H"], sizes["W"]
+    windows = places(height, width)
     if weights is None:
         yield from (_image_window(stage, inputs, arithmetic, outputs, window) for window in windows)
         return
-    bounds = expect_with_weights(stage, part_of(stage, inputs), weights, arithmetic)
-    padded = inputs
-    if stage in PADDED:
-        padded = {
-            name: pad_to_8(array[..., None])[..., 0] if name == "mask" else pad_to_8(array) for name, array in inputs.items()
-        }
+    network = "network" if stage == "frame" else stage
+    first = slice(0, SAMPLE * SPARSE.get(network, 1))
+    bounds = expect_with_weights(network, _part(stage, inputs, weights, (first, first)), weights, arithmetic)
+    whole = (-(-height // 8) * 8, -(-width // 8) * 8) if stage in PADDED else (height, width)
     for window in windows:
-        got = _network_window(stage, padded, weights, window)
+        around = _around(window, whole, REACH[network])
+        got = _network_window(network, _part(stage, inputs, weights, around), weights, window, around, whole)
         yield Window(*window, {name: (at, replace(bounds[name], want=want)) for name, (at, want) in got.items()})
 
 
-def _network_window(stage: str, inputs: Inputs, weights: Weights, window: tuple[slice, slice]) -> dict[str, Any]:
-    sizes = check_inputs(stage, inputs)
-    whole = sizes["H"], sizes["W"]
-    around = _around(window, whole, REACH[stage])
+def _part(stage: str, inputs: Inputs, weights: Weights, around: Part) -> Inputs:
+    """A part of the inputs in float64; of stage ``frame``, of its network's. It is padded where the frame is."""
+    if stage == "frame":
+        height, width = inputs["nov"].shape
+        wide = _around(around, (height, width), IMAGE_REACH)
+        part = _cut("network", network_inputs(_cut(stage, inputs, wide), weights), around, wide)
+    else:
+        part = _cut(stage, inputs, around)
+    if stage not in PADDED:
+        return part
+    return {name: pad_to_8(array[..., None])[..., 0] if name == "mask" else pad_to_8(array) for name, array in part.items()}
+
+
+def _network_window(
+    stage: str, inputs: Inputs, weights: Weights, window: Part, around: Part, whole: tuple[int, int]
+) -> dict[str, Any]:
+    """The outputs' places and right answers in a window, from the inputs in the part ``around`` it of the ``whole`` frame."""
     size = around[0].stop - around[0].start, around[1].stop - around[1].start
     plant = put("resample.upsample_corners", _corners_of((around[0].start, around[1].start), whole, size))
-    got = load("window", plant).run(stage, _cut(stage, inputs, around), weights)
+    got = load("window", plant).run(stage, inputs, weights)
     return {name: (_place(spec, window), got[name][_place(spec, window, around)]) for name, spec in STAGES[stage].outputs.items()}
 
 
-def _image_window(stage: str, inputs: Inputs, arithmetic: Arithmetic, outputs: Outputs, window: tuple[slice, slice]) -> Window:
+def _image_window(stage: str, inputs: Inputs, arithmetic: Arithmetic, outputs: Outputs, window: Part) -> Window:
     sizes = check_inputs(stage, inputs)
     around = _around(window, (sizes["H"], sizes["W"]), IMAGE_REACH)
     specs = STAGES[stage].outputs
@@ -105,7 +120,7 @@ def _image_window(stage: str, inputs: Inputs, arithmetic: Arithmetic, outputs: O
     return Window(*window, parts)
 
 
-def _around(window: tuple[slice, slice], whole: tuple[int, int], reach: int) -> tuple[slice, slice]:
+def _around(window: Part, whole: tuple[int, int], reach: int) -> Part:
     """The window and the inputs that it depends on, in whole blocks of 8."""
     high, wide = (
         slice(max(0, s.start - reach) // 8 * 8, min(n, -(-(s.stop + reach) // 8) * 8)) for s, n in zip(window, whole, strict=True)
@@ -113,11 +128,13 @@ def _around(window: tuple[slice, slice], whole: tuple[int, int], reach: int) -> 
     return high, wide
 
 
-def _cut(stage: str, inputs: Inputs, around: tuple[slice, slice]) -> Inputs:
-    return {name: np.ascontiguousarray(array[_place(STAGES[stage].inputs[name], around)]) for name, array in inputs.items()}
+def _cut(stage: str, inputs: Inputs, around: Part, origin: Part | None = None) -> Inputs:
+    """A part of the inputs in float64; they are those of the part ``origin``, or of the whole frame."""
+    specs = STAGES[stage].inputs
+    return in_float64({name: np.ascontiguousarray(array[_place(specs[name], around, origin)]) for name, array in inputs.items()})
 
 
-def _place(spec: ArraySpec, window: tuple[slice, slice], origin: tuple[slice, slice] | None = None) -> tuple[slice, ...]:
+def _place(spec: ArraySpec, window: Part, origin: Part | None = None) -> tuple[slice, ...]:
     """The place of this window in an array of a part of the frame that begins at ``origin``."""
     first = {"H": 0, "W": 0} if origin is None else {"H": origin[0].start, "W": origin[1].start}
     slices: list[slice] = []

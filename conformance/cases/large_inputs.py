@@ -166,16 +166,18 @@ def frame_case(
     steps: tuple[int, int, int] = (1, 3, 5),
     fill: HoleFill = "occlusion_warp",
     *,
+    short: bool = False,
     fine: bool = False,
 ) -> tuple[Inputs, Weights]:
     """Stage frame: motion is short, in quarters, or far, in whole pixels; surfaces coincide or are far apart: rounding decides no hole.
 
-    With ``fine`` motion the newest one is off quarters by ``FINE``, and none is far, so that no sum of motions rounds.
+    With ``short`` motion none is far. With ``fine`` motion the newest one is off quarters by ``FINE``: if it is short, too, no sum of
+    motions rounds.
     """
     count, single = steps[-1], np.float32
     far = np.round((rng.random((count, *size, 2), single) * single(1.8) - single(0.9)) * np.array(size[::-1], single))
     moved = np.where(
-        rng.random((count, *size, 1), single) < (0 if fine else 0.3),
+        rng.random((count, *size, 1), single) < (0 if short else 0.3),
         far,
         rng.integers(-6, 7, (count, *size, 2), np.int8) / single(4),
     )
@@ -235,7 +237,7 @@ def user_inputs(stage: str, most: int, side: int | None = None, *, fine: bool = 
     sizes = [_fitting_size(stage, size) for size in user_sizes(stage, most, side)]
     if stage == "frame":
         # Stage reshade is judged at these sizes by itself: the reference's fill of so many holes takes longer than all the rest.
-        return tuple(partial(frame_case, size, second="detail", steps=(1, 2, 3), fine=fine) for size in sizes)
+        return tuple(partial(frame_case, size, second="detail", steps=(1, 2, 3), short=True, fine=fine) for size in sizes)
     if stage in _IMAGE:
         return tuple(partial(_IMAGE[stage], short_motion, size) for size in sizes)
     return tuple(partial(network_case, stage, size) for size in sizes)

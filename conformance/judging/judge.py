@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 
 from conformance.answers.by_stage import expect
 from conformance.answers.expected import Expected, largest
-from conformance.answers.port_arithmetic import Arithmetic
+from conformance.answers.port_arithmetic import Arithmetic, in_float64
 from conformance.answers.sums import expect_rounding, rounding
 from conformance.answers.windows import expect_windows
 from conformance.judging.findings import MOST_WRONG, DepartureError, Failure, Finding, Record, WrongError, describe
 from conformance.judging.questions import BATCH, Answer, Dialogue, Question, Talk, answers_of, ask, repeat_questions
 from conformance.protocol.port import Abilities, Arrays, Case, Outputs, Port, PortError, abilities_of
-from conformance.protocol.stages import STAGES, check_inputs, check_outputs, network_inputs, reference
+from conformance.protocol.stages import STAGES, check_inputs, check_outputs, reference
 from conformance.protocol.weights_file import shuffle
 from conformance.protocol.weights_format import restrict
 from conformance.tolerance import BOUNDS
@@ -289,8 +289,7 @@ class Judge:
 
     def exactly(self, arrays: Arrays, stage: str) -> dict[str, NDArray[Any]]:
         """The numbers of ``round_inputs`` in float64, for the reference."""
-        rounded = self._round_once(arrays, stage)
-        return {name: array.astype(np.float64) if array.dtype.kind == "f" else array for name, array in rounded.items()}
+        return in_float64(self._round_once(arrays, stage))
 
     def right(
         self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights | None = None, got: Outputs | None = None
@@ -367,11 +366,8 @@ class Judge:
     def agrees_in_windows(self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights | None = None) -> Talk:
         """Ask for a large frame, and compare a few windows of it; a wrong one is not compared with mistakes, which takes long."""
         outputs = yield ask(stage, inputs, weights)
-        exact, converted = self.exactly(inputs, stage), None if weights is None else self._weights_of(weights)
-        computed = "network" if stage == "frame" else stage
-        if stage == "frame" and converted is not None:
-            exact = network_inputs(exact, converted)
-        for window in expect_windows(computed, exact, converted, self.arithmetic, outputs):
+        rounded, converted = self._round_once(inputs, stage), None if weights is None else self._weights_of(weights)
+        for window in expect_windows(stage, rounded, converted, self.arithmetic, outputs):
             parts = {name: outputs[name][place] for name, (place, _) in window.outputs.items()}
             try:
                 self._hold_all(stage, parts, {name: right for name, (_, right) in window.outputs.items()})
