@@ -25,9 +25,9 @@ from conformance.protocol.stages import STAGES, check_inputs, network_inputs
 from stss_ref.resample import lerp_along, pad_to_8
 from stss_ref.weights import Weights
 
-Inputs = dict[str, NDArray[Any]]
 Part = tuple[slice, slice]
 """Rows and columns of a frame."""
+Inputs = dict[str, NDArray[Any]]
 REACH = {"network": 112, "history": 48, "encoder": 40, "erm": 40, "decoder": 32}
 """Input pixels, at most, from an output pixel to the inputs of its value, in multiples of 8: 43 of history, 37 of encoder, 40 of erm, 30 of
 decoder, and the last three together."""
