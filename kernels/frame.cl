@@ -164,11 +164,15 @@ kernel void find_samples(PLANES(ARGUMENT) global const uchar *restrict mask, glo
 kernel void fill_holes(PLANES(ARGUMENT) OLDER(ARGUMENT) NEWEST(ARGUMENT) global uchar *restrict changes,
                        global const float4 *restrict samples, const Task task)
 {
-    const int left = get_global_id(0) * AT_ONCE, y = get_global_id(1);
-    if (left >= task.columns || y >= task.rows) return;
+    const int left = get_global_id(0) * AT_ONCE, line = get_global_id(1);
+    if (left >= task.columns || line >= task.rows) return;
 #ifdef EIGHT_PIXELS
+    // A processor's core computes neighbouring lines, and holes lie together: every eighth row, so that all have some.
+    const int y = line % (task.rows / 8) * 8 + line / (task.rows / 8);
     if (left + 8 <= task.width && task.top + y < task.height && all_valid8(mask + (task.top + y) * task.width + left))
         return;
+#else
+    const int y = line;
 #endif
     const Frame f = {.task = task,
                      .samples = samples,

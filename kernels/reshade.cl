@@ -50,15 +50,17 @@ kernel void reshade(global const float *restrict warped, global const uchar *res
             const float3 own_normal = read3(normal, pixel), own_base_color = read3(base_color, pixel);
             float3 sum = (float3)(0.0f);
             float total = 0.0f;
-            for (int v = most(y - RADIUS, 0); v <= least(y + RADIUS, height - 1); ++v)
-                for (int u = most(x - RADIUS, 0); u <= least(x + RADIUS, width - 1); ++u) {
-                    const int other = v * width + u;
-                    if (stencil[other] != stencil[pixel] || !(valid[other] || samples[other].w > 0.0f)) continue;
-                    const int away = (u - x) * (u - x) + (v - y) * (v - y);
-                    const float weight = likeness(s, other, own_normal, own_base_color, away);
-                    sum += weight * (valid[other] ? not_negative(read3(warped, other)) : samples[other].xyz);
-                    total += weight;
-                }
+            for (int step = SMALLEST_STEP; step <= LARGEST_STEP; step *= 2)
+                for (int v = y - REACH * step; v <= y + REACH * step; v += step)
+                    for (int u = x - REACH * step; u <= x + REACH * step; u += step) {
+                        if (u < 0 || u >= width || v < 0 || v >= height) continue;
+                        const int other = v * width + u;
+                        if (stencil[other] != stencil[pixel] || !(valid[other] || samples[other].w > 0.0f)) continue;
+                        const int away = (u - x) * (u - x) + (v - y) * (v - y);
+                        const float weight = likeness(s, other, own_normal, own_base_color, away);
+                        sum += weight * (valid[other] ? not_negative(read3(warped, other)) : samples[other].xyz);
+                        total += weight;
+                    }
             if (total > 0.0f) c = sum / total;
         }
     }

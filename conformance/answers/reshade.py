@@ -12,7 +12,7 @@ from conformance.answers.expected import Expected
 from conformance.answers.holes import SMALL, Bool, Float64, Maybe, reach_of_footprints
 from conformance.answers.port_arithmetic import Arithmetic, Reach, reach
 from conformance.tolerance import BOUNDS
-from stss_ref.reshade import COSINE, FOOTPRINTS, RADIUS, STATIC_COSINE, four_samples, is_background, reshade
+from stss_ref.reshade import COSINE, FOOTPRINTS, REACH, STATIC_COSINE, STEPS, four_samples, grid_rows, is_background, reshade
 from stss_ref.sample import Index
 
 Pixels = tuple[Index, Index]
@@ -50,7 +50,7 @@ def expect_reshade(
     scale[alone] = around
     allowed = roundings * (arithmetic.unit * scale + arithmetic.tiny)
     # Any mean lies within the colours, but for the roundings of the longest sum.
-    largest, most = max(color.max(), warped.max()), BOUNDS["like"].roundings + 2 * (2 * RADIUS + 1) ** 2
+    largest, most = max(color.max(), warped.max()), BOUNDS["like"].roundings + 2 * len(STEPS) * (2 * REACH + 1) ** 2
     allowed = np.where(undecided, largest * (1 + most * arithmetic.unit), allowed)[..., None] + arithmetic.flushed(warped)
     return {"reshade": Expected(want, allowed, free=undecided[..., None])}, undecided
 
@@ -106,13 +106,9 @@ def _around(
     """
     stencil, background = inputs["stencil"], is_background(inputs["normal"])
     hardly = ~background & (np.abs(inputs["normal"]).max(axis=-1) < arithmetic.tiny)
-    (y, x), (height, width) = pixels, stencil.shape
+    y, x = pixels
     count, peak, doubts = np.zeros(len(y)), np.zeros(len(y)), np.zeros(len(y), bool)
-    column = x + np.arange(-RADIUS, RADIUS + 1)[:, None]
-    at_column = np.clip(column, 0, width - 1)
-    for row in (y + dy for dy in range(-RADIUS, RADIUS + 1)):
-        there = (row >= 0) & (row < height) & (column >= 0) & (column < width)
-        at = np.clip(row, 0, height - 1), at_column
+    for there, at in grid_rows(stencil.shape, y, x):
         counts = there & (stencil[at] == stencil[y, x])
         sources = counts & is_source[at] & (background[at] == background[y, x])
         count += sources.sum(axis=0)

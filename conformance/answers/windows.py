@@ -28,11 +28,11 @@ from stss_ref.weights import Weights
 Part = tuple[slice, slice]
 """Rows and columns of a frame."""
 Inputs = dict[str, NDArray[Any]]
-REACH = {"network": 112, "history": 48, "encoder": 40, "erm": 40, "decoder": 32}
+REACH = {"network": 112, "history": 48, "encoder": 40, "erm": 40, "decoder": 32, "reshade": 80}
 """Input pixels, at most, from an output pixel to the inputs of its value, in multiples of 8: 43 of history, 37 of encoder, 40 of erm, 30 of
-decoder, and the last three together."""
+decoder, the last three together, and 74 of reshade: its widest grid and the samples there."""
 IMAGE_REACH = 32
-"""The same for the image stages with motion of up to 8 pixels: a chain of three, or a splat, its look-up and the reading there."""
+"""The same for the other image stages with motion of up to 8 pixels: a chain of three, or a splat, its look-up and the reading there."""
 SIDE = 32
 """Rows and columns of a window; input pixels."""
 TILE = 512
@@ -110,7 +110,7 @@ def _network_window(
 
 def _image_window(stage: str, inputs: Inputs, arithmetic: Arithmetic, outputs: Outputs, window: Part) -> Window:
     sizes = check_inputs(stage, inputs)
-    around = _around(window, (sizes["H"], sizes["W"]), IMAGE_REACH)
+    around = _around(window, (sizes["H"], sizes["W"]), REACH.get(stage, IMAGE_REACH))
     specs = STAGES[stage].outputs
     answer = {name: array[_place(specs[name], around)] for name, array in outputs.items()}
     right = expect(stage, _cut(stage, inputs, around), None, arithmetic, answer)

@@ -18,7 +18,7 @@ from conformance.cases.large_inputs import frame_case
 from conformance.cases.stage_inputs import Inputs, make_weights
 from stss_ref.constants import EARLIER_SHARES, HoleLimits
 from stss_ref.holes import LEAST_LENGTH
-from stss_ref.reshade import COSINE, FOOTPRINTS, RADIUS, STATIC_COSINE
+from stss_ref.reshade import COSINE, FOOTPRINTS, REACH, STATIC_COSINE, STEPS
 from stss_ref.weights import Weights
 
 LIMITS = HoleLimits()
@@ -180,15 +180,21 @@ def _own_cosine(least: float, stencil: int) -> Callable[[Generator], Inputs]:
     return make
 
 
+MIDDLE = REACH * STEPS[-1] + 1
+"""Column of the hole of `_like`, whose row goes one pixel beyond the widest grid on each side."""
+
+
 def _like(rng: Generator) -> Inputs:
-    """One hole among pixels of several base colours and normals; and beyond the window, of its own."""
-    width = 2 * RADIUS + 3
+    """One hole among pixels of other materials; of its own are some in one grid, in two, between them and beyond."""
+    width = 2 * MIDDLE + 1
     inputs = _hole(width)
-    base_color, normal = inputs["base_color"].copy(), inputs["normal"].copy()
-    base_color[0, 2:6, 1], normal[0, 6:9, 0] = (0.125, 0.25, 0.5, 1), (0.25, 0.5, 1)
-    base_color[0, RADIUS + 2 : -2] = 8
+    base_color, normal = np.full((1, width, 3), 8.0), inputs["normal"].copy()
+    places = MIDDLE + np.array([[-2, 16, -32, 64], [1, -3, 6, -12], [20, -MIDDLE, MIDDLE, 0]])
+    others, turned = MIDDLE - np.array([4, 8, 64]), MIDDLE + np.array([4, 8, 32])
+    base_color[0, [*places.flat, *others, *turned]] = 0
+    base_color[0, others, 1], normal[0, turned, 0] = (0.03125, 0.125, 0.5), (0.25, 0.5, 1)
     valid = inputs["valid"] + 1
-    valid[0, RADIUS + 1] = 0
+    valid[0, MIDDLE] = 0
     return inputs | {"warped": rng.random((1, width, 3)), "valid": valid, "base_color": base_color, "normal": normal}
 
 
@@ -196,7 +202,7 @@ def _background(rng: Generator) -> Inputs:
     """One hole in a background, beside the edge of a surface."""
     inputs = _like(rng)
     normal = inputs["normal"] * 0
-    normal[0, RADIUS - 3 : RADIUS] = 0, 0, 1
+    normal[0, MIDDLE - 4 : MIDDLE - 1] = 0, 0, 1
     return inputs | {"normal": normal, "base_color": inputs["base_color"] * 0}
 
 
@@ -204,7 +210,7 @@ def _faint(rng: Generator) -> Inputs:
     """The hole's normal is hardly longer than a background's: it takes from the surface alone."""
     inputs = _background(rng)
     normal = inputs["normal"].copy()
-    normal[0, RADIUS + 1, 2] = FAINT
+    normal[0, MIDDLE, 2] = FAINT
     return inputs | {"normal": normal}
 
 
@@ -266,7 +272,8 @@ CONSTANTS = (
     Constant("own samples' distance in footprints", "2", "reshade", _own_distance),
     Constant("own samples' cosine", "0.9", "reshade", _own_cosine(COSINE, 1)),
     Constant("own samples' cosine, static", "0.5", "reshade", _own_cosine(STATIC_COSINE, 0)),
-    Constant("reach of like materials", "8", "reshade", _like),
+    Constant("places on each side of a grid", "2", "reshade", _like),
+    Constant("steps of the grids", "2, 4, 8, 16, 32", "reshade", _like),
     Constant("weight of base colours", "8", "reshade", _like),
     Constant("weight of normals", "2", "reshade", _like),
     Constant("weight of distances on a background", "0.25", "reshade", _background),

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from conformance.protocol.reference_copy import Copy, Mistake, change_arguments, fault, put, returns, wrap
+from stss_ref.reshade import REACH, STEPS
 
 Change = Callable[..., Any]
 _reshade = partial(fault, "reshade")
@@ -52,6 +53,33 @@ def _within_tile(right: Change, color: Any, is_source: Any, stencil: Any, normal
         planes = (plane[tile] for plane in (color, is_source, stencil, normal, base_color))
         sums[own], totals[own] = right(*planes, y[own] - top, x[own] - left)
     return sums, totals
+
+
+def _without_doubles(rows: Any) -> Any:
+    """Places of a later grid that an earlier one has, too, are left out."""
+    for i, (there, at) in enumerate(rows):
+        grid, row = divmod(i, 2 * REACH + 1)
+        inner = np.abs(np.arange(2 * REACH + 1) - REACH) <= REACH // 2
+        yield there & ~(inner & inner[row] & (grid > 0))[:, None], at
+
+
+def _all_there(rows: Any) -> Any:
+    return ((there | True, at) for there, at in rows)
+
+
+def _finest(copy: Copy) -> None:
+    """Holes look at a wider grid only where the narrower ones have no source."""
+
+    def like_sums(right: Change, *arguments: Any) -> Any:
+        sums, totals = right(*arguments)
+        for step in reversed(STEPS):
+            copy.put("reshade.STEPS", (step,))
+            own, total = right(*arguments)
+            sums[total > 0], totals[total > 0] = own[total > 0], total[total > 0]
+        copy.put("reshade.STEPS", STEPS)
+        return sums, totals
+
+    wrap("reshade.like_sums", like_sums)(copy)
 
 
 def _samples_no_sources(copy: Copy) -> None:
@@ -124,8 +152,13 @@ RESHADE = (
     _reshade("far_samples", "samples within four footprints", put("reshade.FOOTPRINTS", 4.0)),
     _reshade("near_samples", "samples within one footprint", put("reshade.FOOTPRINTS", 1.0)),
     _reshade("cosine_098", "the cosine of stage holes", put("reshade.COSINE", 0.98)),
-    _reshade("radius_7", "a window of 15 x 15", put("reshade.RADIUS", 7)),
-    _reshade("radius_9", "a window of 19 x 19", put("reshade.RADIUS", 9)),
+    _reshade("reach_1", "grids of 3 x 3 places", put("reshade.REACH", 1)),
+    _reshade("reach_3", "grids of 7 x 7 places", put("reshade.REACH", 3)),
+    _reshade("no_widest", "no grid with steps of 32 pixels", put("reshade.STEPS", (2, 4, 8, 16))),
+    _reshade("halved_steps", "grids with steps from 1 to 16 pixels", put("reshade.STEPS", (1, 2, 4, 8, 16))),
+    _reshade("counts_once", "a pixel of two grids counts once", returns("reshade.grid_rows", _without_doubles)),
+    _reshade("finest_grid", "the first grid that has a source, alone", _finest),
+    _reshade("clamped_grids", "the nearest pixel for a place outside", returns("reshade.grid_rows", _all_there)),
     _reshade("samples_no_sources", "holes with samples are no sources", _samples_no_sources),
     _like("all_are_sources", "holes are sources, too", is_source=np.ones_like),
     _like("all_objects", "materials of all objects", stencil=np.zeros_like),

@@ -9,7 +9,9 @@
 @group(0) @binding(7) var<storage, read_write> samples: array<vec4<f32>>;  // of holes: the mean of their own samples, and their number
 @group(0) @binding(8) var<storage, read_write> filled: array<f32>;  // H W 3: as warped, at least 0, to begin with
 
-const RADIUS = 8;
+const REACH = 2;  // places of a grid on each side
+const SMALLEST_STEP = 2;  // pixels from place to place of the first grid; the next have twice as many
+const LARGEST_STEP = 32;
 
 fn is_none(normal: vec3<f32>) -> bool { return all(normal == vec3<f32>(0.0)); }
 
@@ -68,15 +70,18 @@ fn like_materials(@builtin(global_invocation_id) id: vec3<u32>) {
     if (samples[index].w == 0.0) {
         var sum = vec3<f32>(0.0);
         var total = 0.0;
-        for (var y = max(p.y - RADIUS, 0); y <= min(p.y + RADIUS, frame.height - 1); y++) {
-            for (var x = max(p.x - RADIUS, 0); x <= min(p.x + RADIUS, frame.width - 1); x++) {
-                let other = y * frame.width + x;
-                let is_valid = valid[other] != 0.0;
-                if (now[other].stencil != now[index].stencil || !(is_valid || samples[other].w > 0.0)) { continue; }
-                let weight = likeness(other, index, (x - p.x) * (x - p.x) + (y - p.y) * (y - p.y));
-                let warped = vec3<f32>(filled[3 * other], filled[3 * other + 1], filled[3 * other + 2]);
-                sum += weight * select(samples[other].xyz, warped, is_valid);
-                total += weight;
+        for (var step = SMALLEST_STEP; step <= LARGEST_STEP; step *= 2) {
+            for (var y = p.y - REACH * step; y <= p.y + REACH * step; y += step) {
+                for (var x = p.x - REACH * step; x <= p.x + REACH * step; x += step) {
+                    if (x < 0 || x >= frame.width || y < 0 || y >= frame.height) { continue; }
+                    let other = y * frame.width + x;
+                    let is_valid = valid[other] != 0.0;
+                    if (now[other].stencil != now[index].stencil || !(is_valid || samples[other].w > 0.0)) { continue; }
+                    let weight = likeness(other, index, (x - p.x) * (x - p.x) + (y - p.y) * (y - p.y));
+                    let warped = vec3<f32>(filled[3 * other], filled[3 * other + 1], filled[3 * other + 2]);
+                    sum += weight * select(samples[other].xyz, warped, is_valid);
+                    total += weight;
+                }
             }
         }
         if (total == 0.0) { return; }

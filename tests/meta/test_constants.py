@@ -66,7 +66,11 @@ PLANTS = {
     "weight of distances on a background": [put("reshade.DISTANCE", x) for x in (0.24, 0.26, 0.0)],
     "own samples' distance in footprints": [put("reshade.FOOTPRINTS", x) for x in (1.99, 2.01, 0.0)],
     "own samples' cosine": [put("reshade.COSINE", x) for x in (0.897, 0.903, float(np.float16(0.9)), 0.0)],
-    "reach of like materials": [put("reshade.RADIUS", x) for x in (7, 9)],
+    "places on each side of a grid": [put("reshade.REACH", x) for x in (1, 3)],
+    "steps of the grids": [
+        put("reshade.STEPS", x)
+        for x in ((2, 4, 8, 16), (4, 8, 16, 32), (1, 2, 4, 8, 16), (1, 2, 4, 8, 16, 32), (2, 4, 8, 16, 31), (2, 4, 8, 16, 32, 64))
+    ],
     "weight of base colours": [put("reshade.BASE_COLOR", x) for x in (7.9, 8.1, 0.0)],
     "weight of normals": [put("reshade.NORMAL", x) for x in (1.95, 2.05, 0.0)],
     "power of a weight": [returns("reshade.likeness", lambda weight, p=p: weight**p) for p in (0.5, 0.99, 1.01)],
@@ -120,7 +124,7 @@ def test_right_ports_pass(name):
 def test_every_number_is_a_constant_that_has_plants():
     """Every constant has a plant, and every number of the reference's stages but 1/2, the place between two pixels, is a constant."""
     assert PLANTS.keys() == {constant.name for constant in CONSTANTS}
-    values = {float(constant.value) for constant in CONSTANTS}
+    values = {float(value) for constant in CONSTANTS for value in constant.value.split(",")}
     for stage in (*STAGES, "constants", "resample", "conv", "sample"):
         for node in ast.walk(ast.parse((ROOT / "stss_ref" / f"{stage}.py").read_text())):
             if isinstance(node, ast.Constant) and type(node.value) is float and node.value not in (0, 0.5):

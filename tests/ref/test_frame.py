@@ -93,10 +93,10 @@ def test_holes_are_filled_in_the_first_three_channels_only():
     np.testing.assert_array_equal(prepared.color[0, 2, :3], color[0, 0])
     like = prepare(replace(inputs, motions=motion, stencils=stencils, gbuffer=inputs.gbuffer * 0), hole_fill="reshade").color
     np.testing.assert_array_equal(like[0, 0], np.tile(color[0, 0], 2))  # it is alone: nothing is like it
-    stencils[0, 0, 5] = 5.0
-    stencils[1, 0, 5] = 5.0  # another pixel of that object, which is none: all are at one place
+    stencils[0, 0, 4] = 5.0
+    stencils[1, 0, 4] = 5.0  # another pixel of that object, which is none: all are at one place
     like = prepare(replace(inputs, motions=motion, stencils=stencils, gbuffer=inputs.gbuffer * 0), hole_fill="reshade").color
-    np.testing.assert_array_equal(like[0, 0], [*color[0, 5], *color[0, 0]])
+    np.testing.assert_array_equal(like[0, 0], [*color[0, 4], *color[0, 0]])
 
 
 def lively_scene(size, steps):

@@ -16,7 +16,7 @@ from stss_ref.depth import normalise_depth
 from stss_ref.holes import cosine, holes, squared_footprint
 from stss_ref.motion_chain import motion_chain
 from stss_ref.occlusion_warp import occlusion_warp, splat
-from stss_ref.reshade import COSINE, RADIUS, four_samples, like_sums, likeness, reshade, shows_surface
+from stss_ref.reshade import COSINE, REACH, STEPS, four_samples, like_sums, likeness, reshade, shows_surface
 from stss_ref.rrm import draw_rectangle, rrm
 from stss_ref.sample import follow, leads_inside, taps
 from stss_ref.warp import warp
@@ -349,8 +349,8 @@ class TestReshade:
         inputs["color"][0, 0] = -1  # counts as 0
         filled = self.filled(inputs)
         assert filled[0] == 0
-        assert filled[1] == np.mean([0, *range(103, 110)])
-        assert filled[2] == np.mean([0, *range(103, 111)])
+        assert filled[1] == np.mean([103, 105, 105, 109, 109, 117, 117])
+        assert filled[2] == np.mean([0, 104, 106, 106, 110, 110, 118, 118])
 
     @pytest.mark.parametrize(
         ("pixel", "motion", "there", "rows", "columns"),
@@ -367,7 +367,7 @@ class TestReshade:
         rows_read = [(int(i[0]), r[0], c[0]) for i, r, c in four_samples(motions, *(np.array([n]) for n in pixel))]
         assert rows_read == list(zip(map(int, there), rows, columns, strict=True))
 
-    def around(self, lit, pixel, side=2 * RADIUS + 4):
+    def around(self, lit, pixel, side=150):
         """The sum and the weights around a pixel of sources of one material; ``lit``: place -> colour."""
         color, is_source, plain = np.zeros((side, side, 3)), np.zeros((side, side), bool), np.full((side, side, 3), 0.5)
         for at, value in lit.items():
@@ -375,21 +375,31 @@ class TestReshade:
         sums, totals = like_sums(color, is_source, color[..., 0] * 0, plain, plain, *(np.array([n]) for n in pixel))
         return sums[0, 0], totals[0]
 
-    def test_sources_lie_within_the_radius_both_ways(self):
-        near, far, middle, last = 1, 2 * RADIUS + 1, RADIUS + 1, 2 * RADIUS + 3
-        corners = {(near, near): 1, (near, far): 2, (far, near): 4, (far, far): 8}
-        beyond = dict.fromkeys(((0, middle), (far + 1, middle), (middle, 0), (middle, far + 1)), 1000)
-        assert self.around(corners | beyond, (middle, middle)) == (15, 4)
-        for corner in ((0, 0), (0, last), (last, 0), (last, last)):
-            assert self.around({corner: 5}, corner) == (5, 1)
+    @pytest.mark.parametrize("step", STEPS)
+    def test_sources_lie_on_grids_both_ways(self, step):
+        middle, reach = 70, REACH * step
+        near, far = middle - reach, middle + reach
+        corners = {(near, near): 1, (near, far): 2, (far, near): 4, (far, far): 8, (middle, near): 16, (near, middle): 32}
+        between = dict.fromkeys(((middle - 1, middle), (middle, middle + 6), (near - 1, middle), (middle, far + 1)), 1000)
+        of_two = 1 if step == STEPS[-1] else 2  # the next grid has them, too
+        assert self.around(corners | between, (middle, middle)) == (63 * of_two, 6 * of_two)
 
-    def test_sources_are_added_row_by_row(self):
+    @pytest.mark.parametrize(
+        ("pixel", "at"), [((0, 0), (2, 0)), ((149, 0), (147, 0)), ((0, 149), (0, 85)), ((149, 149), (85, 85))]
+    )
+    def test_beyond_the_frame_there_is_none(self, pixel, at):
+        assert self.around({at: 5}, pixel) == (5, 1)
+        clamped = {(0, 1): 5, (1, 0): 5, (149, 148): 5, (148, 149): 5}
+        assert self.around(clamped, (1, 1)) == self.around(clamped, (148, 148)) == (0, 0)
+
+    def test_sources_are_added_grid_by_grid_and_row_by_row(self):
         """2^53 + 1 rounds to 2^53, where 1 + 1 comes first it is 2^53 + 2."""
-        large, c = 2.0**53, RADIUS
+        large, c = 2.0**53, 70
         for places in (
-            [(c, c - 1), (c, c + 1), (c, c + 2)],
-            [(c - 1, c), (c + 1, c), (c + 2, c)],
-            [(c - 1, c + 3), (c, c), (c, c + 1)],
+            [(c, c - 2), (c, c + 2), (c - 64, c)],
+            [(c - 2, c), (c + 2, c), (c, c - 64)],
+            [(c - 2, c + 2), (c, c - 2), (c, c + 2)],
+            [(c + 2, c + 2), (c - 64, c), (c, c - 64)],
         ):
             assert self.around(dict(zip(places, (large, 1, 1), strict=True)), (c, c)) == (large, 3)
             assert self.around(dict(zip(places, (1, 1, large), strict=True)), (c, c)) == (large + 2, 3)
@@ -442,40 +452,40 @@ class TestReshade:
         assert shows_surface(before, now, at, at).tolist() == [shows]
 
     def test_a_background_takes_from_background_by_distance(self):
-        """Pixel 10 leads nowhere: of 8 and 14 the former is nearer, 2 and 4 pixels away; 9 is a surface."""
+        """Pixel 10 leads nowhere: of 8 and 14 the former is nearer, 2 and 4 pixels away; 12 is a surface."""
         inputs = reshade_inputs(warped=np.zeros((1, 20, 3)))
         inputs["valid"][0, 10], inputs["motion"][0, 10] = False, (np.inf, 0)
         inputs["normal"][0, [8, 10, 14]] = 0
-        inputs["warped"][0, [8, 9, 14]] = [[16], [1000], [625]]
-        assert self.filled(inputs)[10] == (16 / 16 + 625 / 625) / (1 / 16 + 1 / 625)
-        inputs["normal"][0, 10] = inputs["normal"][0, 9]
-        inputs["stencil"][0, [9, 10]] = 1  # a surface takes from none of them
+        inputs["warped"][0, [8, 12, 14]] = [[16], [1000], [625]]
+        assert self.filled(inputs)[10] == 3 / (1 / 16 + 1 / 625 + 1 / 625)
+        inputs["normal"][0, 10] = inputs["normal"][0, 12]
+        inputs["stencil"][0, [10, 12]] = 1  # a surface takes from none of them
         assert self.filled(inputs)[10] == 1000
 
     def test_a_background_counts_rows_as_columns(self):
         none, is_source, hole = np.zeros((20, 1, 3)), np.zeros((20, 1), bool), (np.array([10]), np.array([0]))
         is_source[[8, 14]] = True
         _, total = like_sums(none, is_source, none[..., 0], none, none, *hole)
-        assert total == 1 / 16 + 1 / 625
+        assert total == 1 / 16 + 1 / 625 + 1 / 625  # of two grids
 
     def test_without_samples_like_materials_around_count(self):
         """Pixel 10 leads nowhere. A base colour 1/8 off, or a normal 1/2 squared off, halve the fourth root of a weight."""
-        inputs = reshade_inputs(warped=np.zeros((1, 20, 3)))
+        inputs = reshade_inputs(80, warped=np.zeros((1, 80, 3)))
         inputs["valid"][0, 10], inputs["motion"][0, 10] = False, (np.inf, 0)
         inputs["stencil"][:] = 1
-        inputs["stencil"][0, [2, 5, 10, 18, 19]] = 0  # 19 is too far
-        inputs["warped"][0, [2, 5, 18, 19]] = [[1], [10], [4], [1000]]
+        inputs["stencil"][0, [8, 10, 12, 70, 74]] = 0  # 70 is on no grid of 10
+        inputs["warped"][0, [8, 12, 70, 74]] = [[1], [10], [1000], [4]]
         assert self.filled(inputs)[10] == 5
-        inputs["base_color"][0, 5, 1] = 0.125
+        inputs["base_color"][0, 12, 1] = 0.125
         assert self.filled(inputs)[10] == (1 + 10 / 16 + 4) / (2 + 1 / 16)
-        inputs["normal"][0, 18] = (0.5, 0.5, 1)
+        inputs["normal"][0, 74] = (0.5, 0.5, 1)
         assert self.filled(inputs)[10] == (1 + 10 / 16 + 4 / 16) / (1 + 2 / 16)
-        inputs["valid"][0, [2, 18]] = False  # no sources, since their motion leads to other objects
+        inputs["valid"][0, [8, 74]] = False  # no sources, since their motion leads to other objects
         inputs["stencil_previous"][:] = 7
-        assert self.filled(inputs)[[2, 10, 18]].tolist() == [10, 10, 1000]
-        inputs["stencil_previous"][0, 2] = 0  # now 2 has a sample, and is a source
-        assert self.filled(inputs)[2] == 2
-        assert self.filled(inputs)[10] == (2 + 10 / 16) / (1 + 1 / 16)
+        assert self.filled(inputs)[[8, 10, 74]].tolist() == [10, 10, 1000]
+        inputs["stencil_previous"][0, 8] = 0  # now 8 has a sample, and is a source
+        assert self.filled(inputs)[8] == 8
+        assert self.filled(inputs)[10] == (8 + 10 / 16) / (1 + 1 / 16)
 
     def test_what_has_nothing_alike_stays_as_it_is_warped(self):
         inputs = reshade_inputs(valid=np.zeros((1, 20), bool), stencil_previous=np.ones((1, 20)))
