@@ -7,6 +7,7 @@ import threading
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cache
+from inspect import signature
 from types import SimpleNamespace
 
 import numpy as np
@@ -120,6 +121,10 @@ def test_a_value_of_a_wrong_kind_is_one_line(name):
         with pytest.raises(ERRORS) as error:
             call(value)
         assert len(str(error.value).splitlines()) == 1, (name, value)
+
+
+def test_every_argument_of_a_supersampler_is_tried():
+    assert {f"Supersampler({name})" for name in signature(stss.Supersampler).parameters} <= CALLS.keys()
 
 
 @pytest.mark.parametrize("kind", ["O", "U4", "M8[s]", "c16"])
