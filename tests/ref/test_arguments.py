@@ -5,6 +5,7 @@ from functools import partial
 import numpy as np
 import pytest
 
+from conformance.protocol.stages import STAGES
 from stss_ref import weights as tensors
 from stss_ref.accumulate import accumulate
 from stss_ref.arrays import ArrayError, require, require_dtype
@@ -64,6 +65,13 @@ CASES = [
     for function, shapes in FUNCTIONS.items()
     for name in shapes
 ]
+
+
+def test_every_stage_is_tried():
+    """It is known by the names of its planes."""
+    tried = [shapes.keys() for shapes in FUNCTIONS.values()]
+    planes = {stage.name: {name for name, spec in stage.inputs.items() if spec.kind != "int"} for stage in STAGES.values()}
+    assert not [stage for stage, names in planes.items() if names not in tried]
 
 
 def with_nan(array):
