@@ -54,7 +54,8 @@ def test_every_stage_has_mistakes_and_every_one_of_image_space_terms():
 def test_every_bound_of_the_answers_is_derived_on_the_page():
     answers = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "conformance" / "answers").glob("*.py"))
     page = (ROOT / "docs" / "conformance.md").read_text(encoding="utf-8")
-    assert not [name for name in re.findall(r'BOUNDS\["([^"]+)"\]', answers) if f"`{name}`" not in page]
+    missing = [name for name in re.findall(r'BOUNDS\["([^"]+)"\]', answers) if f"`{name}`" not in page]
+    assert not missing, f"docs/conformance.md: expected a paragraph that derives {', '.join(missing)}"
 
 
 @pytest.mark.parametrize("file", EXAMPLES)
