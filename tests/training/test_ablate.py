@@ -12,18 +12,25 @@ from training.data import Batches
 ROWS = ("whole", "gbuffer", "erm", "SF")
 
 
-def test_half_reaches_every_step(data, monkeypatch, capsys):
-    advance, halves = ablate.advance, []
+def test_half_and_the_changes_of_crops_reach_every_step(data, monkeypatch, capsys):
+    advance, halves, changes = ablate.advance, [], []
 
     def spy(state, batch, rate, aims):
         halves.append(aims.half)
         return advance(state, batch, rate, aims)
 
+    def small(*args, **named):
+        changes.append(named["how"])
+        return Batches(*args, **named | {"side": 16})
+
     monkeypatch.setattr(ablate, "advance", spy)
-    monkeypatch.setattr(ablate, "Batches", lambda *args, **named: Batches(*args, **named | {"side": 16}))
-    ablate.main([str(data), "--rows", "whole", "--seeds", "0", "--steps", "2", "--most", "1", "--half", "--threads", "1"])
+    monkeypatch.setattr(ablate, "Batches", small)
+    words = [str(data), "--rows", "whole", "--seeds", "0", "--steps", "2", "--most", "1", "--half", "--threads", "1"]
+    ablate.main([*words, "--augment", "none"])
     assert halves == [True, True]
     assert "without whole, EF:" in capsys.readouterr().out
+    ablate.main(words)
+    assert changes == ["none", "all"]
 
 
 @pytest.mark.thorough

@@ -12,9 +12,11 @@ from stss.images.color import transfer
 from stss.images.read_write import read_rgb, write_channels
 from stss.quality.metrics import psnr, to_8bit
 from stss.sequence.reader import open_sequence
+from stss.weights.file import ALIASED, MADE_FOR, save
 from stss_ground.errors import InputError
 from stss_ref.frame import NetworkInputs, prepare
 from stss_ref.resample import upsample_centres
+from stss_ref.weights import zeros
 from tests.app.conftest import frame_channels
 from training import samples as training_samples
 from training.samples import write_film
@@ -23,6 +25,8 @@ torch = pytest.importorskip("torch", reason="PyTorch is not installed: make test
 
 from safetensors.torch import save_file  # noqa: E402
 
+from stss.frames.backends import NETWORK  # noqa: E402
+from training.augment import AUGMENTS  # noqa: E402
 from training.loss import led_along  # noqa: E402
 from training.rivals import authors, cost, jittered, nss, run, samples, train, validate, wgsl_upscaler  # noqa: E402
 from training.rivals.networks import EARLIER, NSRR, PLANES, ExtraNet, spread_out  # noqa: E402
@@ -173,6 +177,41 @@ def test_every_chain_writes_frames_and_scores(tmp_path, monkeypatch):
     ):
         with pytest.raises(InputError, match=message):
             run.main([options[0], options[1], "-o", str(tmp_path / "other"), "--rendered", "even", *words])
+
+
+def test_no_accumulate_shows_the_networks_own_images(tmp_path):
+    """By weights that are made for aliased input images are mixed, from the second frame on; with the option as by any others."""
+    write_demo_sequence(tmp_path, 3, (16, 24))
+    save(aliased := tmp_path / "aliased.safetensors", zeros(), {MADE_FOR: ALIASED})
+    runs, words = [(aliased, []), (aliased, ["--no-accumulate"]), ("bilinear", [])], ["--rendered", "even", "--methods", NETWORK]
+    for number, (weights, more) in enumerate(runs):
+        out = ["-o", str(tmp_path / str(number)), "--weights", str(weights)]
+        run.main([str(tmp_path / "frames"), str(tmp_path / "truth"), *out, *words, *more])
+    folders = [tmp_path / str(number) / NETWORK for number in range(3)]
+    mixed, alone, others = (np.stack([read_rgb(path) for path in sorted(folder.glob("*.exr"))]) for folder in folders)
+    np.testing.assert_array_equal(alone, others)
+    assert [bool((one != other).any()) for one, other in zip(mixed, alone, strict=True)] == [False, True, True]
+
+
+def test_training_changes_crops_as_augment_says(data, tmp_path, monkeypatch):
+    """With `none` a step sees the crops themselves; each other choice sees others, and ends with other weights."""
+    seen, real = [], train.tensors
+    monkeypatch.setattr(train, "tensors", lambda batch, device: seen.append(batch) or real(batch, device))
+    monkeypatch.setattr(train, "batches", lambda data, name, side, *more, make=train.batches: make(data, name, 16, *more))
+    for how in AUGMENTS:
+        train.main([str(data), "extranet", "-o", str(tmp_path / how), "--steps", "1", "--batch", "2", "--augment", how])
+    train.main([str(data), "extranet", "-o", str(tmp_path / "by itself"), "--steps", "1", "--batch", "2"])
+    by = dict(zip((*AUGMENTS, "by itself"), seen, strict=True))
+    shard = np.load(data / "analytic-00001-aliased" / "truth.npy").astype(np.float32)
+    windows = np.lib.stride_tricks.sliding_window_view(shard, (32, 32), axis=(1, 2))  # (N, y, x, 3, 32, 32)
+
+    def is_cut_out(truth):
+        return bool((windows == truth).all(axis=(-3, -2, -1)).any())
+
+    assert all(map(is_cut_out, by["none"].truth))
+    assert not any(map(is_cut_out, (*by["all"].truth, *by["upright"].truth)))
+    np.testing.assert_array_equal(by["by itself"].truth, by["all"].truth)
+    assert len({(tmp_path / how).read_bytes() for how in AUGMENTS}) == len(AUGMENTS)
 
 
 def test_the_authors_network_reads_light_and_the_sky_keeps_its_colour(tmp_path):
