@@ -50,9 +50,10 @@ kernel void reshade(global const float *restrict warped, global const uchar *res
             const float3 own_normal = read3(normal, pixel), own_base_color = read3(base_color, pixel);
             float3 sum = (float3)(0.0f);
             float total = 0.0f;
-            for (int step = SMALLEST_STEP; step <= LARGEST_STEP; step *= 2)
-                for (int v = y - REACH * step; v <= y + REACH * step; v += step)
-                    for (int u = x - REACH * step; u <= x + REACH * step; u += step) {
+            for (int step = 1; step <= LARGEST_STEP; step *= 2)
+                for (int j = -REACH; j <= REACH; ++j)
+                    for (int i = -REACH; i <= REACH; i += places_on(j)) {
+                        const int u = x + step * i, v = y + step * j;
                         if (u < 0 || u >= width || v < 0 || v >= height) continue;
                         const int other = v * width + u;
                         if (stencil[other] != stencil[pixel] || !(valid[other] || samples[other].w > 0.0f)) continue;

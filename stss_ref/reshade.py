@@ -16,9 +16,9 @@ FOOTPRINTS = 2.0
 COSINE, STATIC_COSINE = 0.9, 0.5
 """Smallest cosine between the normals of a sample and a pixel that show the same moving object; static geometry."""
 REACH = 2
-"""Places of a grid on each side of a hole, in rows and in columns, at which it looks for like materials."""
-STEPS = 2, 4, 8, 16, 32
-"""Pixels from place to place of each grid: a hole may be as wide as the motion is long, and colours beside it are mixed."""
+"""Places from a hole to the sides of the square rings at which it looks for like materials."""
+STEPS = 1, 2, 4, 8, 16, 32
+"""Pixels from place to place of each ring: a hole may be as wide as the motion is long, and colours beside it are mixed."""
 BASE_COLOR, NORMAL = 8.0, 2.0
 """Factors of the difference of base colours, and of the squared difference of normals, in a weight."""
 DISTANCE = 0.25
@@ -42,8 +42,8 @@ def reshade(
 
     A hole ``p`` takes the mean of its own samples: those of the four earlier pixels around ``p + motion(p)`` that show its surface
     (`shows_surface`). A hole that has none takes ``sum w(q) c(q) / sum w(q)`` over the pixels ``q = p + s (i, j)`` of its object, of
-    each ``s`` of ``STEPS`` and all whole ``|i|, |j| <= REACH``, that are no holes, where ``c`` is the warped colour, or holes with
-    samples of their own, where ``c`` is their mean; a pixel of two grids counts twice.
+    each ``s`` of ``STEPS`` and all whole ``i`` and ``j`` with ``max(|i|, |j|) = REACH``, that are no holes, where ``c`` is the warped
+    colour, or holes with samples of their own, where ``c`` is their mean;
     ``w(q) = (1 + 8 |b(q) - b(p)|_1 + 2 |n(q) - n(p)|^2)^-4`` with base colour ``b`` and normal ``n``. A background, whose normal is 0,
     takes from background alone, the nearer the more: ``w(q) = (1 + 8 |b(q) - b(p)|_1 + |q - p|^2 / 4)^-4``. Without any it stays as it
     is warped. Colours below 0 count as 0.
@@ -148,7 +148,7 @@ def shows_surface(
 def like_sums(
     color: Image, is_source: Mask, stencil: Plane, normal: Image, base_color: Image, y: Index, x: Index
 ) -> tuple[Array, Array]:
-    """The weighted sum of the sources around each pixel, (N, 3), and the sum of their weights, (N,), grid by grid and row by row.
+    """The weighted sum of the sources around each pixel, (N, 3), and the sum of their weights, (N,), ring by ring and row by row.
 
     Args:
         color: (H, W, 3) of the sources.
@@ -159,7 +159,7 @@ def like_sums(
     height, width = stencil.shape
     sums, totals = np.zeros((len(y), 3), color.dtype), np.zeros(len(y), color.dtype)
     background = is_background(normal)
-    for there, at in grid_rows((height, width), y, x):
+    for there, at in ring_rows((height, width), y, x):
         row, column = at
         counts = there & is_source[at] & (stencil[at] == stencil[y, x]) & (background[at] == background[y, x])
         away = background[y, x] * ((row - y) ** 2 + (column - x) ** 2).astype(color.dtype)
@@ -170,16 +170,15 @@ def like_sums(
     return sums, totals
 
 
-def grid_rows(size: tuple[int, int], y: Index, x: Index) -> Iterator[tuple[Mask, tuple[Index, Index]]]:
-    """Row by row the grids around N pixels: whether each place lies in the frame, (P, N); row (N,) and column (P, N), clamped."""
+def ring_rows(size: tuple[int, int], y: Index, x: Index) -> Iterator[tuple[Mask, tuple[Index, Index]]]:
+    """Row by row the rings around N pixels: whether each place lies in the frame, (P, N); row (N,) and column (P, N), clamped."""
     height, width = size
-    places = np.arange(-REACH, REACH + 1)
     for step in STEPS:
-        column = x + step * places[:, None]
-        at_column = np.clip(column, 0, width - 1)
-        for row in (y + step * place for place in places):
+        for j in range(-REACH, REACH + 1):
+            row = y + step * j
+            column = x + step * np.arange(-REACH, REACH + 1, 1 if abs(j) == REACH else 2 * REACH)[:, None]
             there: Mask = (row >= 0) & (row < height) & (column >= 0) & (column < width)
-            yield there, (np.clip(row, 0, height - 1), at_column)
+            yield there, (np.clip(row, 0, height - 1), np.clip(column, 0, width - 1))
 
 
 def likeness(base_color: Array, own_base_color: Array, normal: Array, own_normal: Array, away: Array) -> Array:

@@ -12,7 +12,7 @@ from conformance.answers.expected import Expected
 from conformance.answers.holes import SMALL, Bool, Float64, Maybe, reach_of_footprints
 from conformance.answers.port_arithmetic import Arithmetic, Reach, reach
 from conformance.tolerance import BOUNDS
-from stss_ref.reshade import COSINE, FOOTPRINTS, REACH, STATIC_COSINE, STEPS, four_samples, grid_rows, is_background, reshade
+from stss_ref.reshade import COSINE, FOOTPRINTS, REACH, STATIC_COSINE, STEPS, four_samples, is_background, reshade, ring_rows
 from stss_ref.sample import Index
 
 Pixels = tuple[Index, Index]
@@ -50,7 +50,7 @@ def expect_reshade(
     scale[alone] = around
     allowed = roundings * (arithmetic.unit * scale + arithmetic.tiny)
     # Any mean lies within the colours, but for the roundings of the longest sum.
-    largest, most = max(color.max(), warped.max()), BOUNDS["like"].roundings + 2 * len(STEPS) * (2 * REACH + 1) ** 2
+    largest, most = max(color.max(), warped.max()), BOUNDS["like"].roundings + 2 * len(STEPS) * 8 * REACH
     allowed = np.where(undecided, largest * (1 + most * arithmetic.unit), allowed)[..., None] + arithmetic.flushed(warped)
     return {"reshade": Expected(want, allowed, free=undecided[..., None])}, undecided
 
@@ -108,7 +108,7 @@ def _around(
     hardly = ~background & (np.abs(inputs["normal"]).max(axis=-1) < arithmetic.tiny)
     y, x = pixels
     count, peak, doubts = np.zeros(len(y)), np.zeros(len(y)), np.zeros(len(y), bool)
-    for there, at in grid_rows(stencil.shape, y, x):
+    for there, at in ring_rows(stencil.shape, y, x):
         counts = there & (stencil[at] == stencil[y, x])
         sources = counts & is_source[at] & (background[at] == background[y, x])
         count += sources.sum(axis=0)

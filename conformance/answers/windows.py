@@ -30,7 +30,7 @@ Part = tuple[slice, slice]
 Inputs = dict[str, NDArray[Any]]
 REACH = {"network": 112, "history": 48, "encoder": 40, "erm": 40, "decoder": 32, "reshade": 80}
 """Input pixels, at most, from an output pixel to the inputs of its value, in multiples of 8: 43 of history, 37 of encoder, 40 of erm, 30 of
-decoder, the last three together, and 74 of reshade: its widest grid and the samples there."""
+decoder, the last three together, and 74 of reshade: its widest ring and the samples there."""
 IMAGE_REACH = 32
 """The same for the other image stages with motion of up to 8 pixels: a chain of three, or a splat, its look-up and the reading there."""
 SIDE = 32

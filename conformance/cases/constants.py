@@ -181,11 +181,11 @@ def _own_cosine(least: float, stencil: int) -> Callable[[Generator], Inputs]:
 
 
 MIDDLE = REACH * STEPS[-1] + 1
-"""Column of the hole of `_like`, whose row goes one pixel beyond the widest grid on each side."""
+"""Column of the hole of `_like`, whose row goes one pixel beyond the widest ring on each side."""
 
 
 def _like(rng: Generator) -> Inputs:
-    """One hole among pixels of other materials; of its own are some in one grid, in two, between them and beyond."""
+    """One hole among pixels of other materials; of its own are some on rings, between them and beyond."""
     width = 2 * MIDDLE + 1
     inputs = _hole(width)
     base_color, normal = np.full((1, width, 3), 8.0), inputs["normal"].copy()
@@ -272,8 +272,8 @@ CONSTANTS = (
     Constant("own samples' distance in footprints", "2", "reshade", _own_distance),
     Constant("own samples' cosine", "0.9", "reshade", _own_cosine(COSINE, 1)),
     Constant("own samples' cosine, static", "0.5", "reshade", _own_cosine(STATIC_COSINE, 0)),
-    Constant("places on each side of a grid", "2", "reshade", _like),
-    Constant("steps of the grids", "2, 4, 8, 16, 32", "reshade", _like),
+    Constant("places to the sides of a ring", "2", "reshade", _like),
+    Constant("steps of the rings", "1, 2, 4, 8, 16, 32", "reshade", _like),
     Constant("weight of base colours", "8", "reshade", _like),
     Constant("weight of normals", "2", "reshade", _like),
     Constant("weight of distances on a background", "0.25", "reshade", _background),

@@ -51,7 +51,7 @@ IN_QUICK: dict[str, Size] = {"encoder": (264, 272), "decoder": (264, 272)}
 FEW = 4
 """Large frames of a quick tier."""
 MOST_HOLES = 8_000
-"""About the largest number of holes in a frame for stage reshade that is judged as a whole: the reference looks at 125 pixels around
+"""About the largest number of holes in a frame for stage reshade that is judged as a whole: the reference looks at 96 pixels around
 each."""
 FINE = np.float32(2.0**-16)
 """Pixels: a motion of a few pixels may be off a whole one by so little, and its float32 sum with a column from 256 on is whole then."""

@@ -55,20 +55,23 @@ def _within_tile(right: Change, color: Any, is_source: Any, stencil: Any, normal
     return sums, totals
 
 
-def _without_doubles(rows: Any) -> Any:
-    """Places of a later grid that an earlier one has, too, are left out."""
-    for i, (there, at) in enumerate(rows):
-        grid, row = divmod(i, 2 * REACH + 1)
-        inner = np.abs(np.arange(2 * REACH + 1) - REACH) <= REACH // 2
-        yield there & ~(inner & inner[row] & (grid > 0))[:, None], at
+def _whole_squares(size: Any, y: Any, x: Any) -> Any:
+    """All places within a ring count."""
+    height, width = size
+    places = np.arange(-REACH, REACH + 1)
+    for step in STEPS:
+        for row in (y + step * place for place in places):
+            column = x + step * places[:, None]
+            there = (row >= 0) & (row < height) & (column >= 0) & (column < width)
+            yield there, (np.clip(row, 0, height - 1), np.clip(column, 0, width - 1))
 
 
 def _all_there(rows: Any) -> Any:
     return ((there | True, at) for there, at in rows)
 
 
-def _finest(copy: Copy) -> None:
-    """Holes look at a wider grid only where the narrower ones have no source."""
+def _nearest(copy: Copy) -> None:
+    """Holes look at a wider ring only where the narrower ones have no source."""
 
     def like_sums(right: Change, *arguments: Any) -> Any:
         sums, totals = right(*arguments)
@@ -152,13 +155,13 @@ RESHADE = (
     _reshade("far_samples", "samples within four footprints", put("reshade.FOOTPRINTS", 4.0)),
     _reshade("near_samples", "samples within one footprint", put("reshade.FOOTPRINTS", 1.0)),
     _reshade("cosine_098", "the cosine of stage holes", put("reshade.COSINE", 0.98)),
-    _reshade("reach_1", "grids of 3 x 3 places", put("reshade.REACH", 1)),
-    _reshade("reach_3", "grids of 7 x 7 places", put("reshade.REACH", 3)),
-    _reshade("no_widest", "no grid with steps of 32 pixels", put("reshade.STEPS", (2, 4, 8, 16))),
-    _reshade("halved_steps", "grids with steps from 1 to 16 pixels", put("reshade.STEPS", (1, 2, 4, 8, 16))),
-    _reshade("counts_once", "a pixel of two grids counts once", returns("reshade.grid_rows", _without_doubles)),
-    _reshade("finest_grid", "the first grid that has a source, alone", _finest),
-    _reshade("clamped_grids", "the nearest pixel for a place outside", returns("reshade.grid_rows", _all_there)),
+    _reshade("reach_1", "rings of 3 x 3 places", put("reshade.REACH", 1)),
+    _reshade("reach_3", "rings of 7 x 7 places", put("reshade.REACH", 3)),
+    _reshade("no_widest", "no ring with steps of 32 pixels", put("reshade.STEPS", (1, 2, 4, 8, 16))),
+    _reshade("no_nearest", "no ring with steps of a pixel", put("reshade.STEPS", (2, 4, 8, 16, 32))),
+    _reshade("whole_squares", "what lies within a ring counts, too", put("reshade.ring_rows", _whole_squares)),
+    _reshade("first_ring", "the first ring that has a source, alone", _nearest),
+    _reshade("clamped_rings", "the nearest pixel for a place outside", returns("reshade.ring_rows", _all_there)),
     _reshade("samples_no_sources", "holes with samples are no sources", _samples_no_sources),
     _like("all_are_sources", "holes are sources, too", is_source=np.ones_like),
     _like("all_objects", "materials of all objects", stencil=np.zeros_like),

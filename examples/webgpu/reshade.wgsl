@@ -9,9 +9,8 @@
 @group(0) @binding(7) var<storage, read_write> samples: array<vec4<f32>>;  // of holes: the mean of their own samples, and their number
 @group(0) @binding(8) var<storage, read_write> filled: array<f32>;  // H W 3: as warped, at least 0, to begin with
 
-const REACH = 2;  // places of a grid on each side
-const SMALLEST_STEP = 2;  // pixels from place to place of the first grid; the next have twice as many
-const LARGEST_STEP = 32;
+const REACH = 2;  // places from a hole to the sides of a ring
+const LARGEST_STEP = 32;  // pixels from place to place of the last ring; those before have 1, 2, 4, 8 and 16
 
 fn is_none(normal: vec3<f32>) -> bool { return all(normal == vec3<f32>(0.0)); }
 
@@ -70,9 +69,11 @@ fn like_materials(@builtin(global_invocation_id) id: vec3<u32>) {
     if (samples[index].w == 0.0) {
         var sum = vec3<f32>(0.0);
         var total = 0.0;
-        for (var step = SMALLEST_STEP; step <= LARGEST_STEP; step *= 2) {
-            for (var y = p.y - REACH * step; y <= p.y + REACH * step; y += step) {
-                for (var x = p.x - REACH * step; x <= p.x + REACH * step; x += step) {
+        for (var step = 1; step <= LARGEST_STEP; step *= 2) {
+            for (var j = -REACH; j <= REACH; j++) {
+                for (var i = -REACH; i <= REACH; i += select(2 * REACH, 1, abs(j) == REACH)) {
+                    let x = p.x + step * i;
+                    let y = p.y + step * j;
                     if (x < 0 || x >= frame.width || y < 0 || y >= frame.height) { continue; }
                     let other = y * frame.width + x;
                     let is_valid = valid[other] != 0.0;

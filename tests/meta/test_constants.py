@@ -66,10 +66,9 @@ PLANTS = {
     "weight of distances on a background": [put("reshade.DISTANCE", x) for x in (0.24, 0.26, 0.0)],
     "own samples' distance in footprints": [put("reshade.FOOTPRINTS", x) for x in (1.99, 2.01, 0.0)],
     "own samples' cosine": [put("reshade.COSINE", x) for x in (0.897, 0.903, float(np.float16(0.9)), 0.0)],
-    "places on each side of a grid": [put("reshade.REACH", x) for x in (1, 3)],
-    "steps of the grids": [
-        put("reshade.STEPS", x)
-        for x in ((2, 4, 8, 16), (4, 8, 16, 32), (1, 2, 4, 8, 16), (1, 2, 4, 8, 16, 32), (2, 4, 8, 16, 31), (2, 4, 8, 16, 32, 64))
+    "places to the sides of a ring": [put("reshade.REACH", x) for x in (1, 3)],
+    "steps of the rings": [
+        put("reshade.STEPS", x) for x in ((1, 2, 4, 8, 16), (2, 4, 8, 16, 32), (1, 2, 4, 8, 16, 31), (1, 2, 3, 4, 8, 16, 32))
     ],
     "weight of base colours": [put("reshade.BASE_COLOR", x) for x in (7.9, 8.1, 0.0)],
     "weight of normals": [put("reshade.NORMAL", x) for x in (1.95, 2.05, 0.0)],

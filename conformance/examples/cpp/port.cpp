@@ -322,7 +322,7 @@ static std::pair<Image, Image> occlusion_warp(const Image &color, const Image &w
 // ---- Stage reshade ----
 
 constexpr float OWN_FOOTPRINTS = 2.0f, OWN_COSINE = 0.9f, OWN_STATIC_COSINE = 0.5f, BASE_COLOR = 8.0f, NORMAL = 2.0f, DISTANCE = 0.25f;
-constexpr int REACH = 2, STEPS[] = {2, 4, 8, 16, 32};  // places of a grid on each side; pixels from place to place of each grid
+constexpr int REACH = 2, STEPS[] = {1, 2, 4, 8, 16, 32};  // places from a hole to the sides of a ring; pixels from place to place
 
 static bool is_none(const float *normal) { return normal[0] == 0.0f && normal[1] == 0.0f && normal[2] == 0.0f; }
 
@@ -375,8 +375,9 @@ static Image reshade(const Image &color, const Image &warped, const Image &motio
         if (*source.at(y, x)) return;
         float sum[3] = {}, total = 0.0f;
         for (const int step : STEPS)
-            for (int v = y - REACH * step; v <= y + REACH * step; v += step)
-                for (int u = x - REACH * step; u <= x + REACH * step; u += step) {
+            for (int j = -REACH; j <= REACH; ++j)
+                for (int i = -REACH; i <= REACH; i += std::abs(j) == REACH ? 1 : 2 * REACH) {
+                    const int v = y + step * j, u = x + step * i;
                     if (!source.holds(v, u) || !*source.at(v, u) || *current.stencil.at(v, u) != *current.stencil.at(y, x)) continue;
                     const float weight = likeness(base_color.at(v, u), base_color.at(y, x), current.normal.at(v, u),
                                                   current.normal.at(y, x), (u - x) * (u - x) + (v - y) * (v - y));
