@@ -26,6 +26,22 @@ def test_no_clip_shows_what_is_measured():
     assert {c["bias"] for c in clips} == {0, -1}
     with pytest.raises(InputError, match="--track candela_city: expected another"):
         main(["--assets", "none", "--track", "candela_city", "-o", "none"])
+    for size in ("960 540", "0 144", "4096 144"):
+        with pytest.raises(InputError, match=f"--size {size}: expected multiples of 8 from 8 to 2048"):
+            main(["--assets", "none", "--size", *size.split(), "-o", "none"])
+
+
+def test_clips_have_the_size_that_was_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    asked = []
+
+    def drive(command, check):
+        asked.extend(json.loads(Path(command[3]).read_text()))
+
+    monkeypatch.setattr("subprocess.run", drive)
+    monkeypatch.setattr("training.raster.make.write_clip", lambda raw, clip, out: None)
+    for size in ([], ["--size", "960", "544"]):
+        main(["--assets", "none", "--clips", "1", "-o", str(tmp_path), *size])
+    assert [clip["size"] for clip in asked] == [[256, 144], [960, 544]]
 
 
 def test_clips_of_one_track_differ_in_cameras_and_karts_but_not_in_light():

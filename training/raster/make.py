@@ -313,13 +313,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--kind", choices=DRAW, default="track")
     parser.add_argument("--track", help="all clips of --kind track on this one, under one light")
     parser.add_argument("--jitter", action="store_true", help="shift the camera by half pixels, the truth's too")
+    parser.add_argument("--size", nargs=2, type=int, default=SIZE, metavar=("W", "H"), help="of the small frames")
     parser.add_argument("-o", "--out", type=Path, required=True, help="a folder for each clip; an existing one is not made again")
     options = parser.parse_args(arguments)
     if options.track in HELD_OUT:
         raise InputError(f"--track {options.track}: expected another track: views of {' and '.join(HELD_OUT)} are measured")
+    if not all(side % 8 == 0 and 8 <= side <= 2048 for side in options.size):
+        raise InputError(f"--size {' '.join(map(str, options.size))}: expected multiples of 8 from 8 to 2048")
     jitter = JITTER if options.jitter else None
     draw = partial(draw_clip, track=options.track) if options.kind == "track" else DRAW[options.kind]
-    clips = [draw(n) | {"jitter": jitter} for n in range(options.first, options.first + options.clips)]
+    clips = [draw(n) | {"jitter": jitter, "size": options.size} for n in range(options.first, options.first + options.clips)]
     raw = options.out / f".raw{options.first}"
     todo = [c for c in clips if not (options.out / c["name"]).exists()]
     raw.mkdir(parents=True, exist_ok=True)
