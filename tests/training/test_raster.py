@@ -12,7 +12,8 @@ import pytest
 from stss.images.read_write import read_rgb
 from stss.sequence.reader import open_sequence
 from stss_ground.errors import InputError
-from training.raster.make import DRAW, HELD_OUT, LIGHT, TRACKS, VALIDATION, draw_clip, main, write_clip
+from training.raster.make import DRAW, HELD_OUT, LIGHT, TRACKS, VALIDATION, draw_clip, jitter, main, write_clip
+from training.rivals.jittered import read_offsets
 
 
 def test_no_clip_shows_what_is_measured():
@@ -52,9 +53,22 @@ def test_clips_of_one_track_differ_in_cameras_and_karts_but_not_in_light():
     assert all(len({str(c[name]) for c in clips}) == 1 for name in (*LIGHT, "bias"))
 
 
+def test_jitter_is_by_half_pixels_for_two_frames_each_or_by_halton_for_one():
+    """Half pixels shift the truth too, Halton's offsets, bases 2 and 3 and begun anew after 16, do not."""
+    clip = draw_clip(0) | {"frames": 18}
+    half, offsets = jitter(clip, "half"), jitter(clip, "halton")
+    assert half["jitter"][:9] == [(0, 0), (0, 0), (0.5, 0.5), (0.5, 0.5), (0.5, 0), (0.5, 0), (0, 0.5), (0, 0.5), (0, 0)]
+    assert (half["steady"], offsets["steady"]) == (False, True)
+    first = [(1 / 2, 1 / 3), (1 / 4, 2 / 3), (3 / 4, 1 / 9), (1 / 8, 4 / 9), (5 / 8, 7 / 9)]
+    np.testing.assert_allclose(offsets["jitter"][:5], np.array(first) - 0.5, atol=1e-15)  # a sum of three roundings
+    assert offsets["jitter"][16:] == offsets["jitter"][:2]
+    assert jitter(clip, None)["jitter"] is None
+
+
 def test_planes_arrive_in_the_conventions_of_the_profile(tmp_path: Path):
     """Rows go down, y up becomes z up, metres become centimetres, the sky is far; the exposure is the truth's too."""
     clip = draw_clip(0) | {"size": (4, 2), "frames": 1, "truths": (0,), "exposed": 0.5, "name": "c"}
+    clip |= {"jitter": [(0.25, -0.125)], "steady": True}
     color = np.zeros((2, 4, 4), np.float32)
     color[..., :3] = 0.25
     color[0, 0] = 1.0  # the lowest row comes first
@@ -80,4 +94,5 @@ def test_planes_arrive_in_the_conventions_of_the_profile(tmp_path: Path):
     assert frame.motion[0, 0].tolist() == [0.5, -1.5]
     assert frame.stencil[0].tolist() == [2, 2, 2, 0]
     assert (tmp_path / "out" / "camera.csv").read_text() == "frame,x,y,z\n0,0.0000,200.0000,100.0000\n"
+    assert read_offsets(tmp_path / "out" / "jitter.csv") == {0: (-0.25, 0.125)}  # the image goes against the camera
     assert (read_rgb(tmp_path / "out" / "hr" / "frame.0000.exr") == 0.25).all()

@@ -109,7 +109,7 @@ async function renderClip(renderer, clip) {
     const time = frame / RATE;
     uniforms.time.value = time;
     uniforms.previousTime.value = (frame - 1) / RATE;
-    if (clip.jitter) camera.setViewOffset(width, height, ...clip.jitter[Math.floor(Math.max(frame, 0) / 2) % clip.jitter.length], width, height);
+    if (clip.jitter) camera.setViewOffset(width, height, ...clip.jitter[Math.max(frame, 0)], width, height);
     moveCamera(camera, road, clip, time);
     if (frame < 0) aimSun(camera.position, camera.getWorldDirection(new THREE.Vector3()));
     karts.forEach((kart, i) => moveKart(kart, road, clip.karts[i], time));
@@ -118,6 +118,7 @@ async function renderClip(renderer, clip) {
     if (frame < 0) continue;
     renderer.shadowMap.needsUpdate = true;
     for (const [i, plane] of passes.planes(scene, camera, clip.bias).entries()) await post(`${clip.name}.${frame}.${i}`, plane);
+    if (clip.steady) camera.clearViewOffset();
     if (clip.truths.includes(frame)) await post(`${clip.name}.${frame}.truth`, passes.truth(scene, camera));
     eyes.push(camera.position.toArray());
   }

@@ -62,11 +62,15 @@ KARTS = ("tux", "konqi", "gnu", "kiki", "suzanne", "wilber", "puffy", "nolok", "
 DAY, DUSK, NIGHT = ("park", "sky", "esplanade", "bridge", "venice"), ("dawn", "sunset", "sunrise"), ("night",)
 FRAMES, TRUTHS, SIZE = 7, (5, 6), (256, 144)
 """An output needs five frames before its own; two outputs in a row show flicker."""
+LONG, LONG_TRUTHS = 16, (12, 13, 14, 15)
+"""A temporal upsampler needs more frames before its own."""
 SAMPLES = 4
 """The truth has SAMPLES x SAMPLES samples a pixel."""
 LIGHT = ("sky", "skyGain", "sun", "sunColor", "sunPower", "exposed")
 JITTER = ((0, 0), (0.5, 0.5), (0.5, 0), (0, 0.5))
 """The camera's shifts in pixels, x right, y down, each for two frames in turn."""
+HALTON = 16
+"""Offsets of temporal upsamplers, one for each frame in turn."""
 FAR = 1e7
 """Position of the sky, cm."""
 FAR_DEPTH = 1e10
@@ -254,8 +258,30 @@ def _draw_gantry(random: np.random.Generator) -> list[dict[str, Any]]:
     return [{"ahead": ahead, "aside": float(x), "up": up, "size": size, "surface": surface} for x, up, size in parts]
 
 
+def halton(index: int, base: int) -> float:
+    """Number ``index`` >= 1 of Halton's sequence, in (0, 1): the digits in ``base``, mirrored at the point."""
+    value, place = 0.0, 1.0
+    while index:
+        index, digit = divmod(index, base)
+        place /= base
+        value += digit * place
+    return value
+
+
+def jitter(clip: Clip, kind: str | None) -> Clip:
+    """The clip with the camera's shift in each frame, by ``kind``: ``half`` pixels, the truth's too, or ``halton``, the truth's not."""
+    if kind == "halton":
+        shifts = [(halton(n % HALTON + 1, 2) - 0.5, halton(n % HALTON + 1, 3) - 0.5) for n in range(clip["frames"])]
+    else:
+        shifts = [JITTER[n // 2 % len(JITTER)] for n in range(clip["frames"])]
+    return clip | {"jitter": shifts if kind else None, "steady": kind == "halton"}
+
+
 def write_clip(raw: Path, clip: Mapping[str, Any], out: Path) -> None:
-    """Write ``out/lr``, ``out/hr`` and ``out/camera.csv`` of a rendered clip: centimetres, z up, colours exposed alike."""
+    """Write ``out/lr``, ``out/hr`` and ``out/camera.csv`` of a rendered clip: centimetres, z up, colours exposed alike.
+
+    Where the truth has no jitter, ``out/jitter.csv`` has the shift of each image, against that of the camera.
+    """
     name, (width, height) = clip["name"], clip["size"]
     partial = out.with_name(f".{out.name}")
     shutil.rmtree(partial, ignore_errors=True)
@@ -274,6 +300,9 @@ def write_clip(raw: Path, clip: Mapping[str, Any], out: Path) -> None:
             write_rgb(partial / "hr" / f"frame.{frame:04}.exr", exposure * read(f"{frame}.truth", 2)[..., :3])
         lines.append(f"{frame}," + ",".join(f"{v:.4f}" for v in 100 * _upright(np.array(eye))))
     (partial / "camera.csv").write_text("\n".join(lines) + "\n")
+    if clip.get("steady"):
+        shifts = [f"{frame},{-x:.6f},{-y:.6f}" for frame, (x, y) in enumerate(clip["jitter"])]
+        (partial / "jitter.csv").write_text("\n".join(("frame,x,y", *shifts)) + "\n")
     partial.rename(out)
 
 
@@ -312,7 +341,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--first", type=int, default=0, help="number of the first clip")
     parser.add_argument("--kind", choices=DRAW, default="track")
     parser.add_argument("--track", help="all clips of --kind track on this one, under one light")
-    parser.add_argument("--jitter", action="store_true", help="shift the camera by half pixels, the truth's too")
+    parser.add_argument(
+        "--jitter",
+        nargs="?",
+        const="half",
+        choices=("half", "halton"),
+        help=f"shift the camera by half pixels, the truth's too, or by Halton's {HALTON} offsets, the truth's not (jitter.csv)",
+    )
+    parser.add_argument("--long", action="store_true", help=f"{LONG} frames, the last {len(LONG_TRUTHS)} with truth")
     parser.add_argument("--size", nargs=2, type=int, default=SIZE, metavar=("W", "H"), help="of the small frames")
     parser.add_argument("-o", "--out", type=Path, required=True, help="a folder for each clip; an existing one is not made again")
     options = parser.parse_args(arguments)
@@ -320,9 +356,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         raise InputError(f"--track {options.track}: expected another track: views of {' and '.join(HELD_OUT)} are measured")
     if not all(side % 8 == 0 and 8 <= side <= 2048 for side in options.size):
         raise InputError(f"--size {' '.join(map(str, options.size))}: expected multiples of 8 from 8 to 2048")
-    jitter = JITTER if options.jitter else None
     draw = partial(draw_clip, track=options.track) if options.kind == "track" else DRAW[options.kind]
-    clips = [draw(n) | {"jitter": jitter, "size": options.size} for n in range(options.first, options.first + options.clips)]
+    form = {"size": options.size} | ({"frames": LONG, "truths": LONG_TRUTHS} if options.long else {})
+    clips = [jitter(draw(n) | form, options.jitter) for n in range(options.first, options.first + options.clips)]
     raw = options.out / f".raw{options.first}"
     todo = [c for c in clips if not (options.out / c["name"]).exists()]
     raw.mkdir(parents=True, exist_ok=True)
