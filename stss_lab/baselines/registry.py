@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
+from stss.frames.accumulation import Accumulation, accumulate_arrays, accumulates
 from stss.frames.backends import DEFAULTS, NETWORK, Backend, open_backend
 from stss.frames.compute_options import ComputeOptions
 from stss.frames.display_frame import WINDOW, OnArrays
@@ -107,7 +108,7 @@ def open_method(
         method: ``network``, one of `stss_lab.baselines.without_part.CHANGES`, or one of ``METHODS``, for which the other arguments do
             not matter.
         loaded: the network's weights.
-        backend, options, tell: see ``stss.frames.backends.open_backend``.
+        backend, options, tell: see ``stss.frames.backends.open_backend``; a network without a part takes of them whether images are mixed.
 
     Returns:
         The backend and the label of its weights.
@@ -116,7 +117,9 @@ def open_method(
         InputError: there is no such method, or the options do not fit each other.
     """
     if method in CHANGES:
-        return WithoutPart(loaded.weights, method), loaded.label
+        part = WithoutPart(loaded.weights, method)
+        # Mixed where the whole network is: else the mixing would seem to be what the part brings.
+        return Accumulation(part, accumulate_arrays) if accumulates(loaded, options) else part, loaded.label
     if method != NETWORK:
         return MethodBackend(method), NO_WEIGHTS
     return open_backend(backend, loaded, options, tell=tell), loaded.label

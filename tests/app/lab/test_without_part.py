@@ -81,6 +81,22 @@ def test_the_command(tmp_path):
     assert len({*scores(["without-gbuffer", ERM], "--weights", tmp_path / "some.safetensors").values(), *plain.values()}) == 3
 
 
+def test_images_are_mixed_where_those_of_the_whole_are(tmp_path):
+    """So a part that the weights do not read brings nothing, mixed or not."""
+    write_demo_sequence(tmp_path / "demo", 8, (16, 24))
+    words = ["methods", tmp_path / "demo" / "frames", tmp_path / "demo" / "truth", "-o", tmp_path / "out", "--frames", "6:7"]
+    words += ["--json", "--overwrite", "--backend", "ref", "--weights", "realtime", "--methods", "network,without-history"]
+
+    def scores(*option):
+        printed = call(*words, *option)
+        assert printed.returncode == 0, printed.stderr
+        return [row["means"]["EF"]["all"]["psnr_rgb"] for row in json.loads(printed.stdout).values()]
+
+    (mixed, part), (plain, plain_part) = scores(), scores("--no-accumulate")
+    assert (part, plain_part) == (mixed, plain)
+    assert mixed != plain
+
+
 def test_the_backend_reports_the_holes_of_the_whole(write_frames):
     """The removed mask is the network's, not that of the scores."""
     files = open_sequence(write_frames(range(6), rendered=range(0, 6, 2), size=(16, 24)), "stss")
