@@ -157,7 +157,7 @@ RESHADE = (
     _reshade("cosine_098", "the cosine of stage holes", put("reshade.COSINE", 0.98)),
     _reshade("reach_1", "rings of 3 x 3 places", put("reshade.REACH", 1)),
     _reshade("reach_3", "rings of 7 x 7 places", put("reshade.REACH", 3)),
-    _reshade("no_widest", "no ring with steps of 32 pixels", put("reshade.STEPS", (1, 2, 4, 8, 16))),
+    _reshade("no_widest", "no ring with steps of 32 pixels", put("reshade.STEPS", (1, 2, 4, 8, 16)), large=True),
     _reshade("no_nearest", "no ring with steps of a pixel", put("reshade.STEPS", (2, 4, 8, 16, 32))),
     _reshade("whole_squares", "what lies within a ring counts, too", put("reshade.ring_rows", _whole_squares)),
     _reshade("first_ring", "the first ring that has a source, alone", _nearest),
