@@ -168,6 +168,7 @@ kernel void fill_holes(PLANES(ARGUMENT) OLDER(ARGUMENT) NEWEST(ARGUMENT) global 
     if (left >= task.columns || line >= task.rows) return;
 #ifdef EIGHT_PIXELS
     // A processor's core computes neighbouring lines, and holes lie together: every eighth row, so that all have some.
+    // The rows are a multiple of 8.
     const int y = line % (task.rows / 8) * 8 + line / (task.rows / 8);
     if (left + 8 <= task.width && task.top + y < task.height && all_valid8(mask + (task.top + y) * task.width + left))
         return;

@@ -52,7 +52,7 @@ kernel void reshade(global const float *restrict warped, global const uchar *res
             float total = 0.0f;
             for (int step = 1; step <= LARGEST_STEP; step *= 2)
                 for (int j = -REACH; j <= REACH; ++j)
-                    for (int i = -REACH; i <= REACH; i += places_on(j)) {
+                    for (int i = -REACH; i <= REACH; i += place_stride(j)) {
                         const int u = x + step * i, v = y + step * j;
                         if (u < 0 || u >= width || v < 0 || v >= height) continue;
                         const int other = v * width + u;

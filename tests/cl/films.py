@@ -62,6 +62,14 @@ def uneven(size, seed=0):
     return {"stencils": stencils, "normals": random.random((4, *size, 3)), "positions": 30 * random.random((4, *size, 3))}
 
 
+def appearing(size, seed=0):
+    """Stencils of squares of 40 pixels, about a third of them uncovered in this frame: wide holes without a sample of their own."""
+    squares = np.random.default_rng(seed).random([-(-n // 40) for n in size]) < 0.3
+    stencils = np.zeros((4, *size))
+    stencils[1:] = 7 * np.kron(squares, np.ones((40, 40)))[: size[0], : size[1]]
+    return {"stencils": stencils}
+
+
 def halve(frame):
     """The same display frame with the planes in half that may be so."""
     planes = {name: getattr(frame, name) for name in HALF}

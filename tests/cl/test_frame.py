@@ -9,15 +9,16 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from conformance.cases.planes import SEEDS, motions, sizes
-from conformance.tolerance import ratio
+from conformance.tolerance import BOUNDS, ratio
 from stss_cl import Frame
 from stss_cl.frame import FrameStages
 from stss_cl.liveness import colors_read, find_live
 from stss_ref.arrays import ArrayError
 from stss_ref.frame import frame
+from stss_ref.reshade import STEPS as STEPS_OF_RINGS
 from stss_ref.weights import Weights, zeros
 from tests.cl.conftest import ALL_LAYERS
-from tests.cl.films import DETAILED, SHIPPED, UNREAD, WEIGHTS, frame_inputs, uneven
+from tests.cl.films import DETAILED, SHIPPED, UNREAD, WEIGHTS, appearing, frame_inputs, uneven
 from tests.tiers import thorough
 
 STEPS = [(0, 2, 4), (1, 3, 5), (0, 0, 0), (1, 1, 1), (0, 2, 2), (1, 3, 3)]
@@ -57,6 +58,18 @@ def test_the_frame_is_the_references(frame_and_weights, data, size, seed, steps)
     image, valid = ours(**vars(replace(inputs, **spoilt)))
     np.testing.assert_array_equal(valid, want_valid)
     assert ratio(f"network.cl.{ours.precision}", image, want.astype(np.float64)) <= 1
+
+
+def test_wide_holes_are_filled_from_like_materials_far_away(device):
+    """The filled colours, enlarged, within the bound of stage reshade; of squares of 40 pixels the middle reads 32 and 64 pixels away."""
+    size, weights = (170, 187), Weights(zeros(), hole_fill="reshade")
+    inputs = frame_inputs(size, 3, gbuffer=np.random.default_rng(3).integers(0, 3, (*size, 9)) / 2, **appearing(size))
+    image, valid = Frame(weights, device)(**vars(inputs))
+    want, want_valid = frame(inputs, weights)
+    np.testing.assert_array_equal(valid, want_valid)
+    assert 0.1 < (valid == 0).mean() < 0.6
+    roundings = BOUNDS["like"].roundings + BOUNDS["own"].roundings + 2 * 16 * len(STEPS_OF_RINGS)
+    np.testing.assert_allclose(image, want, rtol=0, atol=roundings * 2.0**-24)
 
 
 def test_without_a_residual_it_is_the_references_bits(device):

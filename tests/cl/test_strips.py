@@ -18,10 +18,10 @@ from stss_cl.network.strips import OVERLAP, STEP, bytes_for, rows_within, strips
 from stss_cl.skip.stream import Stream
 from stss_ground.errors import DeviceError
 from stss_ref.frame import frame as reference_frame
-from stss_ref.weights import LAYERS
+from stss_ref.weights import LAYERS, Weights
 from stss_ref.weights import random as random_weights
 from tests.cl.conftest import ALL_LAYERS, OFTEN
-from tests.cl.films import calls_of, film, frame_inputs, network_inputs, uneven, weights_for
+from tests.cl.films import appearing, calls_of, film, frame_inputs, network_inputs, uneven, weights_for
 from tests.tiers import thorough
 
 WIDTH = 24
@@ -131,3 +131,14 @@ def test_whole_frames_in_strips(device, steps):
     np.testing.assert_array_equal(valid_in_strips, valid)
     _, expected = reference_frame(inputs, weights)
     np.testing.assert_array_equal(valid, expected)
+
+
+def test_wide_holes_at_the_edge_of_a_strip(device):
+    """A hole without samples reads 64 rows away, beyond its strip too; with direct convolutions, whose strips overlap least."""
+    size, weights, precision = (1210, WIDTH), Weights(random_weights(2), hole_fill="reshade"), "float32-direct"
+    inputs = frame_inputs(size, 1, gbuffer=np.full((*size, 9), 0.5), **appearing(size))
+    whole, valid = Frame(weights, device, precision)(**vars(inputs))
+    limit = bytes_for(2 * OVERLAP[False] + 3 * STEP, ceil8(size[0]), WIDTH, np.float32)
+    image, valid_in_strips = Frame(weights, device, precision, memory_limit=limit)(**vars(inputs))
+    np.testing.assert_array_equal(image, whole)
+    np.testing.assert_array_equal(valid_in_strips, valid)
