@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import qmc
 
 from stss.images.read_write import write_channels, write_rgb
 from stss_ground.errors import InputError
@@ -258,20 +259,11 @@ def _draw_gantry(random: np.random.Generator) -> list[dict[str, Any]]:
     return [{"ahead": ahead, "aside": float(x), "up": up, "size": size, "surface": surface} for x, up, size in parts]
 
 
-def halton(index: int, base: int) -> float:
-    """Number ``index`` >= 1 of Halton's sequence, in (0, 1): the digits in ``base``, mirrored at the point."""
-    value, place = 0.0, 1.0
-    while index:
-        index, digit = divmod(index, base)
-        place /= base
-        value += digit * place
-    return value
-
-
 def jitter(clip: Clip, kind: str | None) -> Clip:
     """The clip with the camera's shift in each frame, by ``kind``: ``half`` pixels, the truth's too, or ``halton``, the truth's not."""
     if kind == "halton":
-        shifts = [(halton(n % HALTON + 1, 2) - 0.5, halton(n % HALTON + 1, 3) - 0.5) for n in range(clip["frames"])]
+        points = qmc.Halton(2, scramble=False).random(HALTON + 1)[1:] - 0.5
+        shifts = [tuple(points[n % HALTON].tolist()) for n in range(clip["frames"])]
     else:
         shifts = [JITTER[n // 2 % len(JITTER)] for n in range(clip["frames"])]
     return clip | {"jitter": shifts if kind else None, "steady": kind == "halton"}
