@@ -26,7 +26,7 @@ NOT_RUN = {
     r"make( [a-z-]+)?$": "installs; each target is in the Makefile, which another test here looks up; CI runs demo, check and test",
     r"(.*/)?(pip|uvx|npm|apt|apt-get|git|ln|podman|docker) ": "installs or fetches",
     r"\. \.venv/bin/activate": "for the shell of the reader",
-    r"python (-m training|training/)|[ct]=|[RSTU]=|\$[RSTU] |for |done$|case |name=": "hours, and PyTorch; tests/training runs them",
+    r"python (-m training|training/)|[ct]=|[RSTU]=|\$[RSTU] |for |done$|case |name=": "hours, and PyTorch; tests/training parses them",
     r"python render\.py": "Blender, and an older commit",
     r"python blender/measure_saving\.py": "Blender; tests/app/blender/test_blender_extension.py runs it where bpy is",
     r"blender --(command|background)": "Blender's program; tests/app/blender/test_blender_extension.py does the same in bpy",
