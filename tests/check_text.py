@@ -78,7 +78,7 @@ def missing_names(page):
     names = set(re.findall(r"`([^`\n]+)`", prose(page))) - ELSEWHERE
     for name in names:
         if re.fullmatch(rf"(?:{'|'.join(FOLDERS)})/[\w./*<>-]+", name):
-            there = list(ROOT.glob(name.rstrip("/").replace("STAGE", "warp")))
+            there = list(ROOT.glob(name.rstrip("/").replace("STAGE", "warp").replace("COMMAND", "*")))
         elif re.fullmatch(r"[\w-]+\.(?:py|cl|clh|toml)", name):
             there = name in NAMES
         elif re.fullmatch(rf"(?:{'|'.join(PACKAGES)}|training)(?:\.\w+)+(?::\w+)?", name):

@@ -219,7 +219,7 @@ def test_every_command_says_what_it_reads_and_writes():
     """By the kinds of its parameters; what is text names no file."""
     texts = {"device", "cluster", "spec", "shapes"}
     all_commands = dict(commands())
-    assert len(all_commands) == 16
+    assert {("run",), ("weights", "import"), ("bench",)} <= all_commands.keys()
     for names, command in all_commands.items():
         assert isinstance(command, Subcommand), names
         for parameter in command.params:
