@@ -94,7 +94,7 @@ def render(
             yield f"rendering frame {number}, {number - numbers[0] + 1} of {len(numbers)}"
             start = max([numbers[0], *(cut for cut in starts if cut <= number)])
             with changed(*_small(scene, layer)):
-                _frame(scene, layer, number, path, colour=(number - start) % 2 == 0)
+                render_frame(scene, layer, number, path, colour=(number - start) % 2 == 0)
             if number == numbers[0]:
                 yield from trial()
     finally:
@@ -264,7 +264,7 @@ def _small(scene: Any, layer: Any) -> list[tuple[Any, str, Any]]:
     ]
 
 
-def _frame(scene: Any, layer: Any, number: int, path: Path, *, colour: bool) -> None:
+def render_frame(scene: Any, layer: Any, number: int, path: Path, *, colour: bool) -> None:
     """One frame's file, whole or not there."""
     part = path.with_name(f".{path.name}.part")
     cycles = scene.cycles

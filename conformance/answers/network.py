@@ -94,7 +94,7 @@ def _spread(
 
     ``part`` is the part of a large frame that gives its bounds.
     """
-    exact, changed, open_ = _variants(weights, arithmetic)
+    exact, changed, open_ = variants(weights, arithmetic)
     truth, part = compute(inputs, exact), inputs if part is None else part
     still = truth if part is inputs else compute(part, exact)
     random = np.random.default_rng(1)
@@ -142,7 +142,7 @@ def layer_change(terms: int, arithmetic: Arithmetic) -> float:
     return change
 
 
-def _variants(weights: Weights, arithmetic: Arithmetic) -> tuple[Weights, list[Weights], Weights]:
+def variants(weights: Weights, arithmetic: Arithmetic) -> tuple[Weights, list[Weights], Weights]:
     """The weights in float64: as they are, with changes of the size of rounding, and with all gates open; of the sets used last."""
     key = arithmetic, *(id(weights[name]) for name in TENSORS)
     if key in _forms:

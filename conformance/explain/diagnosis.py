@@ -90,7 +90,7 @@ def diagnose(judge: Judge, findings: Iterable[Finding]) -> str:
                 end += process_time() - began  # a port may compile for each size
             if all(_distance(mistake, each) < np.inf for each in [*failures[1:], *others]):
                 matches.append((distance, mistake))
-    return _describe(matches, count, stage)
+    return describe(matches, count, stage)
 
 
 def _others(judge: Judge, stage: str) -> list[_Answer]:
@@ -196,7 +196,14 @@ def _rms(x: NDArray[Any]) -> float:
     return float(np.sqrt(np.mean(x * x)))
 
 
-def _describe(matches: list[tuple[float, Mistake]], count: int, stage: str) -> str:
+def describe(matches: list[tuple[float, Mistake]], count: int, stage: str) -> str:
+    """The diagnosis in words.
+
+    Args:
+        matches: the mistakes that fit, each with its distance from the answers, in any order.
+        count: number of mistakes that were compared.
+        stage: the stage that was judged.
+    """
     if not count:
         return "no mistake of this stage is known to compare with"
     if not matches:

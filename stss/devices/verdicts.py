@@ -27,6 +27,7 @@ from conformance import tolerance
 from stss.devices import child
 from stss.devices.compilers import compilers, idle_processors
 from stss.devices.trial import TRIALS
+from stss.devices.watch import POLL, Watch
 from stss.weights.file import REALTIME, SHIPPED
 from stss_cl.device import program
 from stss_cl.device.caches import is_temporary, private, read, store
@@ -41,13 +42,6 @@ TIME_LIMIT = 240.0
 A core of 2024 takes 20 s, a small board's ten times as long. Processor time, since a busy machine gives a process little of it.
 """
 MOST_TIME = 86400.0
-CLOCK = 5
-"""Factor by which the wall-clock time may exceed that: no usable machine is busier."""
-IDLE = 60.0
-"""Seconds of wall-clock time, or fewer if the limit is lower, in which a test must use a hundredth of a processor: a hung one uses none."""
-POLL = 0.25
-"""Seconds between two checks of the child."""
-
 FAULTS = ("SIGSEGV", "SIGBUS", "SIGILL", "SIGFPE", "SIGABRT", "SIGTRAP", "SIGSYS")
 """Signals by which a driver's fault ends a process. Others come from outside: from a user, or from a system short of memory."""
 
@@ -174,7 +168,7 @@ def run_selftest(name: str, command: Sequence[str] = COMMAND, limit: float | Non
     """Test a device in a child process, which is killed with all that it started after ``limit`` seconds; None: `TIME_LIMIT`."""
     limit, start = _limit() if limit is None else limit, time.monotonic()
     test = child.start([*command, name, trial], subprocess.PIPE)
-    watch = _Watch(test.pid, limit)
+    watch = Watch(test.pid, limit)
     try:
         while True:
             try:
@@ -190,44 +184,6 @@ def run_selftest(name: str, command: Sequence[str] = COMMAND, limit: float | Non
         for pipe in filter(None, (test.stdout, test.stderr)):
             pipe.close()
     return _read(test.returncode, out, log, round(time.monotonic() - start, 3))
-
-
-class _Watch:
-    """Watches whether a session of processes has used up its time.
-
-    Its clock stands still where this process stands still, too: a suspended job or virtual machine, a container that is paused.
-    """
-
-    def __init__(self, session: int, limit: float):
-        self._session, self._limit, self._idle = session, limit, min(IDLE, limit)
-        self._last = time.monotonic()
-        self._now = self._active = self._seconds = 0.0
-
-    def over(self) -> str:
-        """The reason to end it; "" if it may go on."""
-        last, self._last = self._last, time.monotonic()
-        self._now += min(self._last - last, 4 * POLL)
-        if self._now > CLOCK * self._limit:
-            return f"no answer within {CLOCK * self._limit:g} s"
-        seconds = _processor_seconds(self._session)
-        if seconds is None:
-            return ""
-        if seconds > self._limit:
-            return f"no answer within {self._limit:g} s of processor time"
-        if abs(seconds - self._seconds) > self._idle / 100:  # less: one of them ended
-            self._seconds, self._active = seconds, self._now
-        return f"no answer, and idle for {self._idle:g} s" if self._now - self._active > self._idle else ""
-
-
-def _processor_seconds(session: int) -> float | None:
-    """Processor time of a session's processes and of those that they waited for; seconds. None where the system does not say."""
-    ticks, any_process = 0, False
-    for path in Path("/proc").glob("[0-9]*/stat"):
-        with suppress(OSError):  # it has ended
-            fields = path.read_text(errors="replace").rpartition(")")[2].split()
-            if int(fields[3]) == session:
-                ticks, any_process = ticks + sum(map(int, fields[11:15])), True
-    return ticks / os.sysconf("SC_CLK_TCK") if any_process else None
 
 
 @contextmanager
@@ -286,12 +242,12 @@ def place_of(name: str, handle: cl.Device, *, trial: str) -> Path:
         for k, v in os.environ.items()
         if k.startswith(("POCL_", "CL_CONFIG_", "STSS_DEVICE_CLASS", "STSS_LINKER")) and k != "POCL_CACHE_DIR"
     }
-    what = [name, handle.driver_version, handle.platform.version, VERSION, _sources(), sorted(settings.items()), trial]
+    what = [name, handle.driver_version, handle.platform.version, VERSION, digest_of_sources(), sorted(settings.items()), trial]
     return private("verdicts") / f"{hashlib.sha256(json.dumps(what).encode()).hexdigest()[:32]}.json"
 
 
 @lru_cache(1)
-def _sources() -> str:
+def digest_of_sources() -> str:
     """Digest of the kernels, of the host code that launches them, and of the reference that they are compared with."""
     digest = hashlib.sha256()
     for path in _judged_files():

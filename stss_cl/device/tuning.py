@@ -210,12 +210,13 @@ def stored_row(name: str, driver: str, device_class: DeviceClass) -> Tuning | No
 
 def _path(name: str, driver: str, device_class: DeviceClass) -> Path:
     # A row that was found with other kernels may be slower with these.
-    what = [name, driver, device_class, *_kernels()]
+    what = [name, driver, device_class, *kernel_sources()]
     return private("tuning") / f"{hashlib.sha256(json.dumps(what).encode()).hexdigest()[:32]}.toml"
 
 
 @lru_cache(1)
-def _kernels() -> tuple[str, ...]:
+def kernel_sources() -> tuple[str, ...]:
+    """The texts of the kernels whose tile sizes a row has."""
     return tuple(source(file) for file in ("conv.cl", "winograd.cl", "winograd_image.cl", "conv_local.cl", "conv_mma.cl"))
 
 

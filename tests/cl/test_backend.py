@@ -29,9 +29,13 @@ def backend(device, monkeypatch):
 
 
 def of(device, monkeypatch, **options):
-    monkeypatch.setattr("stss.devices.selection.choose", lambda *_, **__: device)
-    alone = OpenCLBackend(weights_for(device), ComputeOptions(**options), print)
+    alone = without_accumulate(device, monkeypatch, **options)
     return Accumulation(alone, alone.accumulate)
+
+
+def without_accumulate(device, monkeypatch, **options):
+    monkeypatch.setattr("stss.devices.selection.choose", lambda *_, **__: device)
+    return OpenCLBackend(weights_for(device), ComputeOptions(**options), print)
 
 
 def bright_film():
@@ -65,14 +69,15 @@ def test_an_output_is_what_its_stages_make_on_the_host(device, backend, curve):
         np.testing.assert_array_equal(got.carried["alpha"], carried["alpha"])
 
 
-def test_frames_that_another_thread_pushed_out_are_mixed_too(device, backend):
+def test_frames_that_another_thread_pushed_out_are_mixed_too(device, monkeypatch):
     """Their motion is no longer on the device."""
+    backend = without_accumulate(device, monkeypatch)
     frames, others = film(seed=1), film(seed=2)
     steps = schedule_of(frames[:4]).steps
-    images = [backend._backend.compute(tuple(frames[: n + 1]), schedule_of(frames[: n + 1]).steps)[0] for n in range(4)]
+    images = [backend.compute(tuple(frames[: n + 1]), schedule_of(frames[: n + 1]).steps)[0] for n in range(4)]
     backend.compute(tuple(others[:4]), steps)
     motions = [frame.motion for frame in frames[3:1:-1]]
-    mixed = backend._backend.accumulate(images[3], images[2:0:-1], motions)
+    mixed = backend.accumulate(images[3], images[2:0:-1], motions)
     got, _ = backend.deliver(mixed, transfer("none"), {}, None)
     on_host = [backend.deliver(image, transfer("none"), {}, None)[0] for image in images]
     want = accumulate_arrays(on_host[3], on_host[2:0:-1], motions)

@@ -84,7 +84,7 @@ def test_what_is_kept_comes_back(row, monkeypatch):
     for other in (fake("P: two"), fake(device.name, driver="2")):
         assert tuning_for(other) == built_in(other)
     with monkeypatch.context() as patch:
-        patch.setattr(tuning, "_kernels", lambda: ("changed",))
+        patch.setattr(tuning, "kernel_sources", lambda: ("changed",))
         tuning.stored_row.cache_clear()
         assert read_tuning(device) is None
     store(device, None)

@@ -116,7 +116,9 @@ def test_a_stream_that_is_dropped_is_freed_at_once(device):
     stream = Stream(WEIGHTS, device)
     for call in calls_of(still_with("nothing", at=0))[:6]:
         stream(*call)
-    references = [weakref.ref(each) for each in (stream, stream._uploaded, *stream._caches.values())]
+    parts = stream._uploaded, *stream._caches.values()  # noqa: SLF001  (nothing else refers to them)
+    references = [weakref.ref(each) for each in (stream, *parts)]
+    del parts
     gc.disable()
     try:
         del stream

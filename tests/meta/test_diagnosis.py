@@ -95,8 +95,8 @@ def test_what_contains_a_stage_names_its_mistakes():
 def test_a_mistake_that_two_stages_know_is_said_once():
     """In the words of the stage that was judged."""
     both = [(0.0, find(name)) for name in ("frame_motions_oldest_first", "motion_chain_oldest_first")]
-    assert diagnosis._describe(both, 2, "frame") == "looks like: takes the motions as oldest first"
-    assert diagnosis._describe(both[1:], 2, "frame") == "looks like: takes the motions as oldest first, in stage motion_chain"
+    assert diagnosis.describe(both, 2, "frame") == "looks like: takes the motions as oldest first"
+    assert diagnosis.describe(both[1:], 2, "frame") == "looks like: takes the motions as oldest first, in stage motion_chain"
 
 
 @pytest.mark.parametrize("name", [thorough("frame_missing_not_masked"), thorough("network_erm_unmasked")])

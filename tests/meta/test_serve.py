@@ -146,13 +146,14 @@ def test_a_program_that_removes_its_job_while_it_serves_is_told(program):
 
 
 @pytest.mark.parametrize("keep", [True, False])
-def test_our_own_port_serves(keep, monkeypatch):
+def test_our_own_port_serves(keep, monkeypatch, tmp_path):
     monkeypatch.setenv("PYTHONIOENCODING", "cp1252")  # as Windows has it
-    port = FolderPort([sys.executable, "-m", "stss", "port"], 60, keep=keep)
+    starts = tmp_path / "starts"
+    port = FolderPort(["sh", "-c", 'echo >> "$0"; exec "$@"', str(starts), sys.executable, "-m", "stss", "port"], 60, keep=keep)
     port.run_many([case()])
     (got,) = port.run_many([case(1)])
     assert got["valid"][0, 0] == 0
-    assert port._server is not None
+    assert starts.read_text() == "\n"
     port.restart()
     both = subprocess.run([sys.executable, "-m", "stss", "port"], capture_output=True, text=True, timeout=60, check=False)
     assert (both.returncode, both.stderr.strip()[-27:]) == (2, "either a job folder or --serve"[-27:])

@@ -162,11 +162,11 @@ def test_a_frame_is_whole_or_not_there(film, tmp_path, monkeypatch, written, fre
     film.bpy.ops = types.SimpleNamespace(render=types.SimpleNamespace(render=render))
     monkeypatch.setattr(shutil, "disk_usage", lambda path: types.SimpleNamespace(free=free))
     if not said:
-        film._frame(scene, None, 7, tmp_path / "frame.0007.exr", colour=True)
+        film.render_frame(scene, None, 7, tmp_path / "frame.0007.exr", colour=True)
         assert [path.name for path in tmp_path.iterdir()] == ["frame.0007.exr"]
         return
     with pytest.raises(film.FilmError, match=said):
-        film._frame(scene, None, 7, tmp_path / "frame.0007.exr", colour=True)
+        film.render_frame(scene, None, 7, tmp_path / "frame.0007.exr", colour=True)
     assert not [*tmp_path.iterdir()]
 
 

@@ -13,6 +13,7 @@ from stss.check_sequence.motion_convention import CHOICES
 from stss.check_sequence.report import CheckReport, check, missing_buffers, print_report
 from stss.images.headers import read_header
 from stss.images.read_write import read_channels, write_channels
+from stss.sequence import reader
 from stss.sequence.profiles import load_profile
 from stss.sequence.reader import Sequence, SequenceOptions, open_sequence
 from stss_ground.errors import InputError
@@ -101,9 +102,9 @@ def test_the_time_grows_as_the_number_of_frames(write_frames, monkeypatch):
 
 def test_no_frame_is_read_twice(write_frames, monkeypatch):
     """But the first, whose camera is judged without its colour; with no room in memory each look reads its frames anew."""
-    loads, load = [], Sequence._load
-    monkeypatch.setattr(Sequence, "_load", lambda of, number, *, color=True, **more: (
-        loads.append((number, color)) or load(of, number, color=color, **more)
+    loads, load = [], reader.read_stored
+    monkeypatch.setattr(reader, "read_stored", lambda frame, *more, color: (
+        loads.append((frame.files, color)) or load(frame, *more, color=color)
     ))  # fmt: skip
     folder = write_frames(range(8))
     report = check(folder, SequenceOptions("stss"))

@@ -21,6 +21,7 @@ from stss.devices import selftest, verdicts
 from stss.devices.selection import choose
 from stss.devices.trial import EVERY
 from stss.devices.verdicts import Verdict, find_verdict, run_selftest, verdict
+from stss.devices.watch import IDLE, POLL, Watch
 from stss.frames.backends import open_backend
 from stss.weights.file import REALTIME
 from stss_cl.device import amx, caches, program
@@ -258,7 +259,7 @@ def test_a_verdict_lapses_when_anything_changes(monkeypatch):
     assert find_verdict("A: cpu", fake("A", "cpu", driver="2")) is None
     for change in (
         lambda m: m.setattr(verdicts, "VERSION", "0"),
-        lambda m: m.setattr(verdicts, "_sources", lambda: "others"),
+        lambda m: m.setattr(verdicts, "digest_of_sources", lambda: "others"),
         lambda m: m.setenv("POCL_WORK_GROUP_METHOD", "cbs"),
         lambda m: m.setenv("STSS_DEVICE_CLASS", "gpu"),
     ):
@@ -301,17 +302,15 @@ def test_a_slow_clock_is_no_hang(monkeypatch):
     assert got.seconds > 2.7
 
 
-def test_a_pause_of_all_processes_is_no_hang(monkeypatch):
+def test_a_pause_of_all_processes_is_no_hang():
     """A suspended job, a paused container: the clock has gone on for an hour, and neither test nor watch has run."""
     clock = SimpleNamespace(now=0.0)
-    monkeypatch.setattr(verdicts, "time", SimpleNamespace(monotonic=lambda: clock.now))
-    monkeypatch.setattr(verdicts, "_processor_seconds", lambda session: 7.0)
-    watch, polls = verdicts._Watch(1, verdicts.TIME_LIMIT), int(verdicts.IDLE / verdicts.POLL)
+    watch, polls = Watch(1, verdicts.TIME_LIMIT, lambda: clock.now, lambda session: 7.0), int(IDLE / POLL)
     assert not watch.over()
     clock.now += 3600
     assert not watch.over()
     for _ in range(polls):
-        clock.now += verdicts.POLL
+        clock.now += POLL
         reason = watch.over()
     assert reason == "no answer, and idle for 60 s"
 

@@ -2,6 +2,7 @@
 
 import io
 import json
+import multiprocessing
 import platform
 from types import SimpleNamespace
 
@@ -69,16 +70,13 @@ def test_a_contender_that_fails_is_a_row_and_the_others_go_on():
     assert "no such device" in printed([result])
 
 
-def test_a_process_that_dies_is_a_row(monkeypatch):
-    from stss_lab.bench import measure as module
+def test_a_process_that_dies_is_a_row():
+    def kill(step):
+        for process in multiprocessing.active_children() if "run 1" in step else ():
+            process.kill()
+            process.join()
 
-    def die(self, *_):
-        self._process.kill()
-        self._process.join()
-
-    start = module._Worker.start
-    monkeypatch.setattr(module._Worker, "start", lambda self, want: (start(self, want), die(self)))
-    (result,) = bench([setup()], ["ref"], [], repeat=2)
+    (result,) = bench([setup()], ["ref"], [], 2, kill)
     assert "ended with status -9" in result.rows[0].fault
 
 
