@@ -55,6 +55,8 @@ MOST_HOLES = 8_000
 each."""
 FINE = np.float32(2.0**-16)
 """Pixels: a motion of a few pixels may be off a whole one by so little, and its float32 sum with a column from 256 on is whole then."""
+SQUARE = 40
+"""Rows and columns of an object that appears: in its middle only rings with steps of 16 and 32 pixels leave it."""
 SHORT = 8
 """Longest motion of frames that are judged in windows; pixels."""
 MakeCase = Callable[[Generator], Any]
@@ -172,12 +174,14 @@ def frame_case(
     """Stage frame: motion is short, in quarters, or far, in whole pixels; surfaces coincide or are far apart: rounding decides no hole.
 
     With ``short`` motion none is far. With ``fine`` motion the newest one is off quarters by ``FINE``: if it is short, too, no sum of
-    motions rounds.
+    motions rounds. Where holes are reshaded, an object appears in every third square of `SQUARE` pixels: a hole without samples.
     """
     count, single = steps[-1], np.float32
+    squares = np.add.outer(*(np.arange(n) // SQUARE for n in size))
+    appears = (squares % 3 == 1) & (fill == "reshade")
     far = np.round((rng.random((count, *size, 2), single) * single(1.8) - single(0.9)) * np.array(size[::-1], single))
     moved = np.where(
-        rng.random((count, *size, 1), single) < (0 if short else 0.3),
+        (rng.random((count, *size, 1), single) < (0 if short else 0.3)) & ~appears[..., None],
         far,
         rng.integers(-6, 7, (count, *size, 2), np.int8) / single(4),
     )
@@ -185,8 +189,9 @@ def frame_case(
         moved[0] += rng.integers(-1, 2, (*size, 2), np.int8) * FINE
     positions = np.zeros((4, *size, 3), single)
     positions[..., 0] = single(256) * (rng.random((4, *size), single) < 0.02)
+    stencil = (rng.random(size, single) < 0.1) * single(2)
     inputs: Inputs = {
-        "stencils": np.broadcast_to((rng.random(size, single) < 0.1) * single(2), (4, *size)), "positions": positions,
+        "stencils": np.stack([stencil, *[np.where(appears, single(7), stencil)] * 3]), "positions": positions,
         "normals": np.broadcast_to(np.array([0, 0, 1], single), (4, *size, 3)), "colors": rng.random((3, *size, 3), single),
         "steps": np.array(steps, np.int32), "motions": moved, "gbuffer": rng.random((*size, 9), single),
         "nov": rng.random(size, single) * 2 - 1,

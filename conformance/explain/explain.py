@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import TypeVar
 
+from conformance.explain.choices import decisive_choices
 from conformance.explain.confirm import UNSTABLE, confirm
 from conformance.explain.diagnosis import diagnose
 from conformance.explain.first_layer import first_departure
@@ -18,7 +19,7 @@ T = TypeVar("T")
 
 
 def explain(judge: Judge, body: Body) -> Failure:
-    """Confirm the failure of the test that ran last; add whether it repeats, the layer where it begins, and a known mistake like it.
+    """Confirm the failure of the test that ran last; add whether it repeats, where it begins, and a known mistake like it.
 
     The test's record does not count the cases that the port computes for this.
 
@@ -42,12 +43,13 @@ def explain(judge: Judge, body: Body) -> Failure:
     first = record.first or smallest
     judge.record = Record()
     failure = attempt(lambda: confirm(judge, body, smallest, first), smallest)
-    words = [record.about]
+    words, findings = [record.about], [first.finding, failure.finding, *record.wrong]
     # An answer that a case alone does not repeat cannot be computed again.
     if not failure.before and UNSTABLE not in failure.finding.message:
         words += [
             attempt(lambda: first_departure(judge, failure.finding), ""),
-            attempt(lambda: diagnose(judge, [first.finding, failure.finding, *record.wrong]), ""),
+            attempt(lambda: decisive_choices(judge, findings), ""),
+            attempt(lambda: diagnose(judge, findings), ""),
         ]
     judge.record = record
     terms = attempt(lambda: terms_at_worst(failure.finding), ())

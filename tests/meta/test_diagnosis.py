@@ -9,6 +9,7 @@ from conformance.answers import by_stage
 from conformance.cases.every_buffer import frame_cases
 from conformance.cases.stage_inputs import make_weights
 from conformance.explain import diagnosis
+from conformance.explain.choices import decisive_choices
 from conformance.explain.diagnosis import diagnose
 from conformance.judging.findings import DepartureError
 from conformance.judging.judge import Judge, Tier
@@ -226,7 +227,23 @@ def fail(*_):
     raise AttributeError("no attribute 'shape'")
 
 
-@pytest.mark.parametrize("part", ["diagnose", "first_departure", "terms_at_worst", "confirm"])
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("reshade_no_nearest", "the same frames are right with hole_fill occlusion_warp"),
+        thorough("frame_splat_by_roughness", "the same frames are right with hole_fill reshade"),
+        ("frame_detail_whole", "the same frames are right with second_color newest"),
+        thorough("frame_hole_test_ignored", "the same frames are right with hole_test footprint"),
+        ("frame_history_newest_first", ""),  # though this small frame is right by the paper's hole test
+    ],
+)
+def test_a_frame_says_which_choice_it_hangs_on(name, words):
+    judge = Judge(find(name).port(), Tier("some", 24, 24, 0), shrink=False)
+    (result,) = run_suite(judge, ["frame"], only="agrees_with_the_reference")
+    assert decisive_choices(judge, [result.record.failure.finding]) == words
+
+
+@pytest.mark.parametrize("part", ["decisive_choices", "diagnose", "first_departure", "terms_at_worst", "confirm"])
 def test_a_failure_outlives_its_explanation(part, monkeypatch, tmp_path):
     """With its numbers, and with what is kept in its folder."""
     monkeypatch.setattr(f"conformance.explain.explain.{part}", fail)

@@ -1,6 +1,7 @@
 """Mistakes that no small case shows, and mistakes that no single case shows: sizes, state, chance."""
 
 import re
+from functools import partial
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from conformance.cases.alike import alike_calls
 from conformance.cases.large_inputs import large_inputs
 from conformance.judging.findings import DepartureError
 from conformance.judging.judge import TIERS, Judge, Tier
+from conformance.protocol.reference_copy import Copy, wrap
 from conformance.protocol.stages import STAGES, reference
 from conformance.protocol.weights_file import serialise
 from conformance.report.failures import keep_failure, replay
@@ -17,6 +19,7 @@ from conformance.report.report import judged_on
 from conformance.suite.properties import find_property
 from conformance.suite.run_suite import run_suite
 from stss.port import ReferencePort
+from stss_ref.reshade import STEPS
 from tests.meta.test_questions import Program
 from tests.tiers import every, thorough
 
@@ -96,6 +99,25 @@ def test_a_mistake_of_size_is_found_in_the_quick_tier(sized):
 def test_a_mistake_of_size_says_where_it_begins():
     (message,) = messages(SizedPort(64), Tier("few", 2, 2, 1), "motion_chain")
     assert "numbers depart, none before column 64" in message
+
+
+def test_large_frames_have_holes_that_only_the_widest_rings_fill():
+    """Where an object appears: in scattered holes a narrow ring finds something, too."""
+    shares = []
+
+    def like_sums(copy, right, *planes):
+        sums, totals = right(*planes)
+        copy.put("reshade.STEPS", STEPS[:4])
+        shares.append(((right(*planes)[1] == 0) & (totals > 0)).mean())
+        copy.put("reshade.STEPS", STEPS)
+        return sums, totals
+
+    copy, judge = Copy(), Judge(ReferencePort())
+    wrap("reshade.like_sums", partial(like_sums, copy))(copy)
+    for inputs, weights in (make(np.random.default_rng(0)) for make in large_inputs("frame", TIERS["quick"].large)):
+        copy.get("stages.network_inputs")(judge.make_case("frame", inputs).inputs, weights)
+    assert len(shares) == 3
+    assert min(shares) > 0.1
 
 
 class CountingPort(ReferencePort):
