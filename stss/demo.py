@@ -22,7 +22,8 @@ from stss.quality.output_and_truth import find_pairs
 from stss.run.job import folder_of, run
 from stss.run.options import RunOptions
 from stss.sequence.choose_weights import AUTO, choose_weights
-from stss.sequence.reader import Sequence, open_sequence
+from stss.sequence.reader import open_sequence
+from stss.sequence.sequence import Sequence
 from stss.weights.file import BILINEAR, REALTIME, LoadedWeights, load
 from stss_ground.output.folder import OutputFolder
 from stss_ground.output.places import require_places

@@ -8,7 +8,7 @@ import numpy as np
 from stss.check_sequence.value_statistics import Line
 from stss.frames.buffers import Buffers
 from stss.sequence.conventions import normal_dot_view
-from stss.sequence.reader import Sequence
+from stss.sequence.sequence import Sequence
 from stss.sequence.solve_camera import solve_camera
 from stss_ref.arrays import Array, Image
 

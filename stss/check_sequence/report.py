@@ -32,7 +32,8 @@ from stss.sequence.choose_weights import weights_for
 from stss.sequence.find_profile import frames_of, settle_profile
 from stss.sequence.profiles import BUFFERS
 from stss.sequence.raw_frame import NonFinite
-from stss.sequence.reader import Sequence, SequenceOptions
+from stss.sequence.reader import SequenceOptions
+from stss.sequence.sequence import Sequence
 from stss_ground.errors import InputError
 from stss_ground.machine import available_threads
 from stss_ground.progress import show_steps, track
@@ -138,7 +139,7 @@ def check(
         if not numbers:
             raise InputError(f"{sequence_path}: none of these frames can be read")
         findings += missing_buffers(sequence, numbers)
-        findings += [CheckFinding("warning", text) for text in sequence.alone]
+        findings += [CheckFinding("warning", text) for text in sequence.notes]
         findings += data_windows(sequence, numbers)
         tables |= {"size": list(sequence.size), "frames": _frame_table(sequence, numbers)}
         tables["summary"] = summary(numbers, sequence.size)

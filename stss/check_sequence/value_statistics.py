@@ -19,7 +19,7 @@ from stss.images.read_write import WHOLE
 from stss.sequence.background import CameraError
 from stss.sequence.profiles import BUFFERS
 from stss.sequence.raw_frame import FINITE, UNIT_RANGE, NonFinite, read_stored
-from stss.sequence.reader import Sequence
+from stss.sequence.sequence import Sequence
 from stss_ref.arrays import Array, Mask
 from stss_ref.holes import squared_footprint
 

@@ -31,7 +31,8 @@ from stss.run.job import run as run_sequence
 from stss.run.options import RunOptions
 from stss.run.skip_report import Tally, describe_costs
 from stss.sequence.choose_weights import choose_weights
-from stss.sequence.reader import Sequence, SequenceOptions
+from stss.sequence.reader import SequenceOptions
+from stss.sequence.sequence import Sequence
 from stss_ground.arguments import listing
 from stss_ground.commands import Subcommand
 from stss_ground.option_kinds import ReadPath, WrittenFolder
@@ -113,7 +114,7 @@ def run(
 def _tell_of_reading(frames: Sequence, reading: SequenceOptions) -> None:
     if reading.profile is None:
         _tell(f"profile: {frames.profile.name}, by the channels' names; --profile takes another")
-    for note in frames.alone:
+    for note in frames.notes:
         _tell(note)
     if frames.solves_camera:
         _tell("camera: from position and depth; --camera CSV gives another")

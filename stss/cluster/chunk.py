@@ -17,7 +17,7 @@ from stss.frames.compute_options import ComputeOptions
 from stss.frames.display_frame import WINDOW
 from stss.run.frame_job import FrameJob, FrameReport, frame_name
 from stss.run.options import RunOptions
-from stss.sequence.reader import Sequence
+from stss.sequence.sequence import Sequence
 from stss.weights.file import LoadedWeights
 from stss_ground.errors import DeviceError, InputError
 from stss_ground.version import VERSION

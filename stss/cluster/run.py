@@ -15,7 +15,7 @@ from stss.run.frame_job import FrameReport, already_written, describe, keep_outs
 from stss.run.job import REFUSAL, RunPlan, Summary, plan_run
 from stss.run.options import RunOptions
 from stss.run.window import Keys
-from stss.sequence.reader import Sequence as Frames
+from stss.sequence.sequence import Sequence as Frames
 from stss_ground.errors import InputError
 from stss_ground.version import VERSION
 

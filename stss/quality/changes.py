@@ -9,7 +9,7 @@ from stss.frames.display_frame import DisplayFrame, make_display_frame, same_sur
 from stss.images.color import transfer
 from stss.images.resample import enlarge
 from stss.sequence.background import CameraError
-from stss.sequence.reader import Sequence
+from stss.sequence.sequence import Sequence
 from stss_ref.arrays import Image, Mask
 from stss_ref.sample import follow, leads_inside
 from stss_ref.warp import warp

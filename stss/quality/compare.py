@@ -22,7 +22,7 @@ from stss.quality.flip_vmaf import NEITHER, Perceptual, vmaf_scores
 from stss.quality.metrics import REGIONS, Scores, mean_scores, score, to_8bit, upsample_holes
 from stss.quality.output_and_truth import DIFFERENCES, FALLBACK, KINDS, MADE_WITH, Pair, find_pairs, list_numbers, require_size
 from stss.sequence.raw_frame import NonFinite
-from stss.sequence.reader import Sequence as Input
+from stss.sequence.sequence import Sequence as Input
 from stss_ground.errors import InputError
 from stss_ground.progress import Track
 from stss_ref.arrays import Image

@@ -12,7 +12,7 @@ from stss.images.color import transfer
 from stss.pages.viewer import Pane, ShownFrame, Viewer, write_viewer
 from stss.quality.compare import BELOW, METRICS, Comparison, cells, facts
 from stss.quality.output_and_truth import FALLBACK, Pair
-from stss.sequence.reader import Sequence as Frames
+from stss.sequence.sequence import Sequence as Frames
 from stss_ground.output.write_whole import write_named
 from stss_ground.pages.page import definitions, fold, table
 from stss_ground.pages.plot import PlotLine, plot

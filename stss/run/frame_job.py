@@ -21,7 +21,7 @@ from stss.images.windows import PixelWindow
 from stss.run.options import RunOptions
 from stss.run.pipeline import overlap
 from stss.run.window import Keys, Window
-from stss.sequence.reader import Sequence
+from stss.sequence.sequence import Sequence
 from stss_cl.cost import Cost
 from stss_ground.errors import InputError
 from stss_ground.output.folder import SUMS, OutputFolder

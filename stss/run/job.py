@@ -18,7 +18,7 @@ from stss.frames.backends import Backend
 from stss.frames.output import choose_rendered
 from stss.run.frame_job import HOLES, FrameJob, FrameReport, Outcome, already_written, keep_outside, require_one_run
 from stss.run.options import RunOptions
-from stss.sequence.reader import Sequence
+from stss.sequence.sequence import Sequence
 from stss_ground.errors import InputError
 from stss_ground.output.folder import OutputFolder
 from stss_ground.output.places import require_places

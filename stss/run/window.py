@@ -15,7 +15,7 @@ from stss.images.color import Transfer
 from stss.images.headers import Value
 from stss.run.options import RunOptions
 from stss.sequence.raw_frame import OF_COLOR
-from stss.sequence.reader import Sequence
+from stss.sequence.sequence import Sequence
 from stss_ground.errors import InputError
 from stss_ground.output.folder import digest_of
 

@@ -11,7 +11,7 @@ import numpy as np
 from stss.frames.buffers import Buffers
 from stss.images.color import transfer
 from stss.images.headers import Header, read_header
-from stss.sequence.reader import Sequence
+from stss.sequence.sequence import Sequence
 from stss_ground.errors import InputError
 from stss_ref.arrays import Array
 

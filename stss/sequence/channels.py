@@ -137,6 +137,27 @@ def _in_layer(path: Path, there: _Names, profile: Profile, buffers: Collection[s
     return sources
 
 
+def note_on_layers(profile: Profile, color: Source) -> str:
+    """A note if the file of ``color`` has other layers with a colour, too; "" if not."""
+    first, *others = layers_of(read_header(color.path), profile, color)
+    if not others:
+        return ""
+    return (
+        f"layers: {color.path.name} has the colour of {', '.join([first, *others])}; only {first} is read: "
+        "a profile with a base and the names of channels written out reads another"
+    )
+
+
+def note_on_views(files: Iterable[Path], profile: Profile, color: Source) -> str:
+    """A note if a frame's files have several views, and the profile names none; "" if not."""
+    views = tuple(dict.fromkeys(view for path in files for view in read_header(path).views))
+    if len(views) < 2 or profile.view:
+        return ""
+    view = view_of(color.names[0], views) or views[0]
+    others = " or ".join(f'view = "{other}"' for other in views if other != view)
+    return f"views: the files have {', '.join(views)}; only {view} is read: a profile with a base and {others} reads another"
+
+
 class MissingBuffersError(InputError):
     """Buffers that a profile does not find.
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from stss.sequence.antialiasing import Sampling, judge_sampling
-from stss.sequence.reader import Sequence
+from stss.sequence.sequence import Sequence
 from stss.weights.file import ANTIALIASED, BILINEAR, REALTIME, LoadedWeights, load
 
 AUTO = "auto"

@@ -3,18 +3,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
-from stss.images.headers import Value
+from stss.images.headers import Value, read_header
 from stss.images.read_write import read_planes
 from stss.images.windows import PixelWindow
 from stss.sequence.camera import CameraPose
 from stss.sequence.channels import Source
+from stss_ground.arguments import listing, suggest
 from stss_ground.errors import InputError
 from stss_ref.arrays import Array
 
@@ -61,6 +62,47 @@ class RawFrame:
     attributes: Mapping[str, Value] = field(default_factory=dict[str, Value])
     data: Mapping[str, PixelWindow] = field(default_factory=dict[str, PixelWindow])
     fault: InputError | None = None
+
+
+def find_carried(where: str, frame: RawFrame, also: Collection[str]) -> dict[str, Source]:
+    """Find the planes that do not go through the network: alpha beside the colour, and the layers and channels in ``also``.
+
+    Args:
+        where: the frame, for errors.
+        frame: the frame; one without a colour has none.
+        also: names of layers or channels.
+
+    Raises:
+        InputError: there is no such layer or channel, or two planes would have one name.
+    """
+    if "color" not in frame.sources:
+        return {}
+    color, there = frame.sources["color"], {path: read_header(path).channels for path in frame.files}
+    layer, red = color.names[0][:-1], color.names[0][-1]
+    alpha = layer + {"R": "A", "r": "a"}.get(red, "")
+    planes = {"A": Source(color.path, (alpha,))} if alpha in there[color.path] else {}
+    own = {letter: Source(color.path, (full,)) for letter, full in zip("RGB", color.names, strict=True)}
+    for name in also:
+        sources = [
+            Source(path, (full,))
+            for path, names in there.items()
+            for full in names
+            if full == name or full.startswith(name + ".")
+        ]
+        if not sources:
+            names = sorted({full for names in there.values() for full in names})
+            near = suggest(name, [*names, *(full.rpartition(".")[0] for full in names)])
+            raise InputError(f"{where}: no layer or channel {name}; found {listing(names)}{near}")
+        for source in sources:
+            full = source.names[0]
+            other = (own | planes).get(full, source)
+            if other != source:
+                raise InputError(
+                    f"{source.path}: --also {name}: channel {full} would take the place of {other.names[0]} of {other.path.name}"
+                )
+            if full not in own:
+                planes[full] = source
+    return planes
 
 
 def read_stored(

@@ -3,18 +3,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from stss.sequence.camera import CameraPose
+from stss.sequence.conventions import linear_depth
+from stss.sequence.profiles import Profile
 from stss.sequence.projection import some_pixels
+from stss_ground.errors import InputError
 from stss_ref.arrays import Array, Image, Plane
 
 ROUNDS = 4
 """Number of fits; each leaves out the pixels that the previous one fits worst: mixtures at silhouettes."""
 MIN_PIXELS = 16
 """Fewest pixels that determine the unknowns with a margin."""
+MAX_RESIDUAL = 1e-2
+"""Largest residual of a camera that is used: the error of NoV is no larger."""
 
 
 @dataclass(frozen=True)
@@ -71,3 +77,34 @@ def solve_camera(depth: Plane, position: Image, *, ray: bool = False) -> SolvedC
     away = float(np.median(np.linalg.norm(p - camera, axis=1)))
     typical = float(np.median(error)) / (2 * away if ray else 1.0)
     return SolvedCamera(CameraPose(camera + middle), typical / away)
+
+
+def solve_pose(where: str, arrays: Mapping[str, Array], profile: Profile) -> CameraPose:
+    """Find the camera's position for the NoV of a frame.
+
+    Args:
+        where: the frame, for errors.
+        arrays: its depth and position as stored.
+        profile: says what they mean.
+
+    Raises:
+        InputError: they do not give it.
+    """
+    rule = profile.depth
+    depth = linear_depth(arrays["depth"][..., 0], rule)
+    if not np.isfinite(depth).any():  # a sky alone has NoV 0 from any place
+        return CameraPose(np.zeros(3))
+    camera = solve_camera(depth, arrays["position"], ray=rule.kind == "ray")
+    if camera is None or camera.residual > MAX_RESIDUAL:
+        reason = "too few surfaces" if camera is None else f"they differ by {camera.residual:.1g} of the distance"
+        depths, counts = np.unique(depth[np.isfinite(depth)], return_counts=True)
+        if len(depths) > 1 and depths[-1] > 2 * depths[-2] and counts[-1] >= MIN_PIXELS:
+            reason += (
+                f"; {counts[-1]} pixels have depth {depths[-1]:g}: if nothing was hit there, give a profile with this background"
+            )
+        raise InputError(
+            f"{where}: no nov and no camera, and position and depth do not give one ({reason}): give --camera CSV "
+            f"(frame,x,y,z in the scene's unit) or a channel {' or '.join(names[0] for names in profile.channels['nov'])}, "
+            "without which no orthographic camera can do"
+        )
+    return camera.pose

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from stss.quality.comparison_page import RenderedInputs, Version, write_comparison
 from stss.quality.output_and_truth import find_pairs
-from stss.sequence.reader import Sequence as Frames
+from stss.sequence.sequence import Sequence as Frames
 from stss_ground.pages.page import table
 from stss_ground.progress import Track
 from stss_lab.methods.methods_table import MethodResult, caption, cells, holes_of

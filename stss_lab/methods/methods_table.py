@@ -19,7 +19,7 @@ from stss.quality.flip_vmaf import NEITHER, Perceptual
 from stss.quality.output_and_truth import find_pairs, list_numbers
 from stss.run.job import require_near, run
 from stss.run.options import RunOptions
-from stss.sequence.reader import Sequence as Frames
+from stss.sequence.sequence import Sequence as Frames
 from stss.weights.file import BILINEAR
 from stss_ground.errors import InputError
 from stss_lab.baselines.registry import METHODS

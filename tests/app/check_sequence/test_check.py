@@ -13,9 +13,10 @@ from stss.check_sequence.motion_convention import CHOICES
 from stss.check_sequence.report import CheckReport, check, missing_buffers, print_report
 from stss.images.headers import read_header
 from stss.images.read_write import read_channels, write_channels
-from stss.sequence import reader
+from stss.sequence import raw_frame
 from stss.sequence.profiles import load_profile
-from stss.sequence.reader import Sequence, SequenceOptions, open_sequence
+from stss.sequence.reader import SequenceOptions, open_sequence
+from stss.sequence.sequence import Sequence
 from stss_ground.errors import InputError
 from tests.app.conftest import PLAIN, frame_channels, write_parts
 from tests.hostile.cases import call
@@ -102,8 +103,8 @@ def test_the_time_grows_as_the_number_of_frames(write_frames, monkeypatch):
 
 def test_no_frame_is_read_twice(write_frames, monkeypatch):
     """But the first, whose camera is judged without its colour; with no room in memory each look reads its frames anew."""
-    loads, load = [], reader.read_stored
-    monkeypatch.setattr(reader, "read_stored", lambda frame, *more, color: (
+    loads, load = [], raw_frame.read_stored
+    monkeypatch.setattr("stss.sequence.sequence.read_stored", lambda frame, *more, color: (
         loads.append((frame.files, color)) or load(frame, *more, color=color)
     ))  # fmt: skip
     folder = write_frames(range(8))
@@ -420,7 +421,7 @@ def test_the_other_eye_is_named(write_frames, tmp_path):
             (text,) = (line for line in lines if "views" in line)
             assert text == note
         left, right = (open_sequence(tmp_path / kind, load_profile("stss", view=eye)) for eye in ("left", "right"))
-        assert left.alone == right.alone == ()
+        assert left.notes == right.notes == ()
         np.testing.assert_array_equal(right.load(1).color[..., 0], 0.25 * left.load(1).color[..., 0])
         np.testing.assert_array_equal(right.load(1).position, left.load(1).position)
         assert all(name.startswith("right.") for source in right.frames[1].sources.values() for name in source.names)

@@ -24,7 +24,8 @@ from stss.frames.backends import open_backend
 from stss.frames.compute_options import ComputeOptions
 from stss.run.job import run
 from stss.run.options import RunOptions
-from stss.sequence.reader import Sequence, open_sequence
+from stss.sequence.reader import open_sequence
+from stss.sequence.sequence import Sequence
 from stss.weights.file import BILINEAR, load
 from stss_ground.errors import InputError
 from stss_ground.machine import available_threads

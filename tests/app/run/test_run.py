@@ -17,7 +17,8 @@ from stss.run.job import run
 from stss.run.options import RunOptions
 from stss.run.pipeline import FRAMES_AHEAD, overlap
 from stss.sequence.profiles import load_profile
-from stss.sequence.reader import Sequence, open_sequence
+from stss.sequence.reader import open_sequence
+from stss.sequence.sequence import Sequence
 from stss.weights.file import BILINEAR, load
 from stss_ground.errors import InputError
 from stss_ref.arrays import ArrayError

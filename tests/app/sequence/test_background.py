@@ -14,7 +14,6 @@ from stss.demo import demo_path, frame_channels
 from stss.images.headers import read_header
 from stss.images.read_write import read_channels, write_channels
 from stss.quality.changes import Follower
-from stss.sequence import reader
 from stss.sequence.background import projection_of, static_motion
 from stss.sequence.camera import FAR, PLACE
 from stss.sequence.reader import SequenceOptions, open_sequence
@@ -197,7 +196,7 @@ def test_what_was_behind_the_camera_has_no_place_before(tmp_path):
 @pytest.mark.parametrize("scene", ["pan", "flythrough"])
 def test_the_camera_gives_static_geometry_its_motion(tmp_path, monkeypatch, scene, table):
     """Near the truth, in any order of frames, by blocks of seven rows."""
-    monkeypatch.setattr(reader, "BLOCK", 7 * SIZE[1])
+    monkeypatch.setattr("stss.sequence.sequence.BLOCK", 7 * SIZE[1])
     right = open_sequence(write(tmp_path / "right", scene), "stss")
     camera = write_table(tmp_path / "camera.csv", right, 1) if table else None
     still = open_sequence(write_without_motion(tmp_path / "in", scene), "stss", camera=camera, static="camera")

@@ -231,7 +231,7 @@ def test_a_layer_read_alone_is_said(tmp_path, layers, said):
     names = [name.replace("Image", "Combined").replace(".V", ".X").replace("Depth.X", "Depth.Z") for name in names]
     names = [name.replace("Xector", "Vector") for name in names]
     write_channels(tmp_path / "a.0001.exr", {name: np.ones((4, 4)) for name in names})
-    notes = open_sequence(tmp_path).alone
+    notes = open_sequence(tmp_path).notes
     assert [re.search("colour of (.*); only", note).group(1) for note in notes] == said
     assert all(f"; only {layers[0]} is read: " in note for note in notes)
 
@@ -342,7 +342,7 @@ def test_views_may_be_parts(tmp_path):
             parts.append((pixels, names, {"oiio:subimagename": (f"{layer}-{view}",), "view": (view,)}))
     write_parts(tmp_path / "a.0001.exr", *parts)
     sequence = open_sequence(tmp_path)
-    assert sequence.alone == (
+    assert sequence.notes == (
         'views: the files have left, right; only left is read: a profile with a base and view = "right" reads another',
     )
     assert (sequence.load(1).color == 1).all()
