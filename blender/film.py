@@ -36,7 +36,7 @@ SUFFIXES = {".exr", ".png"}
 POLL = 0.1
 """Seconds between two looks at the program, in which Blender does not draw."""
 NO_WINDOW = getattr(subprocess, "CREATE_NO_WINDOW", 0)
-"""On Windows a program that a window starts opens a console otherwise."""
+"""Without it, on Windows, a program that is started from a window opens a console."""
 MARK = "stss-film"
 """Name of the file that marks a folder of this extension."""
 

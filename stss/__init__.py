@@ -58,5 +58,5 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """List them too, so that a shell completes them."""
+    """List the public names, so that a shell completes them."""
     return sorted({*globals(), *__all__})

@@ -42,7 +42,10 @@ processes = 1
 
 
 def available_threads() -> int:
-    """Cores that this process may run on, or the time of so many that its container may take, rounded up; of several, its share."""
+    """Cores for this process: those that it may run on, or as many as its container has time for, rounded up, if these are fewer.
+
+    Processes of a run that work side by side share them.
+    """
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return max(1, min(cores, container_cores() or cores) // processes)
 

@@ -38,7 +38,7 @@ SPARSE = {"erm": 3}
 RUNS = 3
 """Runs with changed weights; every number of every output is a sample."""
 MOST_SETS = 16
-"""Sets of weights whose changed forms are kept: the drawn cases have one fewer."""
+"""Most sets of weights whose changed forms are kept: one more than the drawn cases have."""
 _forms: dict[tuple[Any, ...], tuple[Weights, tuple[Weights, list[Weights], Weights]]] = {}
 """By the identities of a set's arrays, which are kept alive, so that no other array gets their addresses."""
 

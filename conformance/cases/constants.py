@@ -25,7 +25,7 @@ LIMITS = HoleLimits()
 CLOSE = 2.0**-9, 2.0**-17
 """Relative distances of numbers from their limit: beyond the rounding of float16, and within what a limit in float16 is off by."""
 FAINT = 1e-8
-"""Length of a normal that is no background's, whose is 0."""
+"""Length of a surface's normal, close to 0; a background's normal is 0."""
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ def _static_cosine(_: Generator) -> Inputs:
 
 
 def _length(_: Generator) -> Inputs:
-    """Normals of one direction and of several lengths: at 4.9e-4, ``|n| / (|n| + 1e-5)`` is 0.98, which changes there 50 times less."""
+    """Normals of one direction and of several lengths; at 4.9e-4 ``|n| / (|n| + 1e-5)`` is 0.98, and hardly changes with the length."""
     near = [49 * LEAST_LENGTH * (1 + part) for part in (-0.05, -(2.0**-13), 2.0**-13, 0.05)]
     length = _pairs(1e-6, 1e-5, 1e-4, *near, 2e-3)
     return _object(np.stack([np.zeros_like(length), np.zeros_like(length), length], axis=-1))
@@ -185,7 +185,7 @@ MIDDLE = REACH * STEPS[-1] + 1
 
 
 def _like(rng: Generator) -> Inputs:
-    """One hole among pixels of other materials; of its own are some on rings, between them and beyond."""
+    """One hole among pixels of other materials; some of its own material lie on rings, between them and beyond."""
     width = 2 * MIDDLE + 1
     inputs = _hole(width)
     base_color, normal = np.full((1, width, 3), 8.0), inputs["normal"].copy()

@@ -12,13 +12,13 @@ from stss.sequence.projection import Projection
 from stss_ref.arrays import Mask
 
 OFF = 1.0
-"""Pixels: a position that is seen farther from its pixel is not that of a sample of it."""
+"""Pixels: a position seen farther than this from its pixel belongs to no sample of the pixel."""
 ON = 0.5
-"""Pixels: so near to it is seen the position that was made longer."""
+"""Pixels: the lengthened position is seen as near as this to its pixel."""
 LIKE = 0.1
-"""Depth must have been made shorter as much as the position, to this share."""
+"""Largest difference of the lengthened depth from the distance of the lengthened position, as a share of it."""
 MANY = 0.2
-"""Share of the pixels beside the background, from which there is a warning."""
+"""Share of the pixels beside the background from which on there is a warning."""
 FEW = 30
 """Fewest pixels beside the background that allow a judgement."""
 
@@ -26,15 +26,16 @@ FEW = 30
 class SkyMeans:
     """Counts static pixels beside the background whose position and depth are parts of those of their surface.
 
-    A pixel that is hit by a share ``c`` of its samples has the position ``c p`` and the depth ``c d``: no sample of it is seen there, but
-    where ``s = 1 / c`` takes them. Positions that are wrong in another way are not brought back. Blender's depths are no means.
+    If a share ``c`` of a pixel's samples hit the surface, the pixel has the position ``c p`` and the depth ``c d``. No sample is seen at
+    ``c p``, but ``s = 1 / c`` times it lies in the pixel. Positions that are wrong in another way do not return. Blender's depths are no
+    means.
     """
 
     def __init__(self):
         self._means = self._beside = 0
 
     def add(self, frame: Buffers, projection: Projection) -> None:
-        """Count those of a frame, whose projection has three axes."""
+        """Count those of a frame; its projection has three axes."""
         static = static_surfaces(frame)
         beside = static & _around(~np.isfinite(frame.depth))
         self._beside += int(beside.sum())

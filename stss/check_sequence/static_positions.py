@@ -368,9 +368,10 @@ def _line(true: Array, motion: Array) -> tuple[float, float]:
 
 
 def _depth(frame: Buffers, projection: Projection) -> float:
-    """Median deviation of depths from a multiple of the distance along the view of a frame's positions; -1 where they fall with it.
+    """Median deviation of a frame's depths from a multiple of the distances that its positions have along the view.
 
-    0 where all is seen from one distance, as by an orthographic camera from infinity: the positions then say nothing of depth.
+    -1: the depths fall as these distances grow. 0: all distances are alike, as for an orthographic camera at infinity; the positions then
+    say nothing about depth.
     """
     mask = static_surfaces(frame)
     if mask.sum() < 2:

@@ -58,7 +58,7 @@ class LocalWorkers:
 
 
 class _Pool(ProcessPoolExecutor):
-    """Processes that begin as `_beginning` says."""
+    """Processes that are started within `_beginning`."""
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:  # pyrefly: ignore[bad-override]
         with _beginning():
@@ -67,9 +67,10 @@ class _Pool(ProcessPoolExecutor):
 
 @contextmanager
 def _beginning() -> Generator[None, None, None]:
-    """Processes begin with Ctrl-C blocked, since it reaches all of a terminal, and the writing process ends them.
+    """Within the block, processes start with Ctrl-C blocked, and take no modules from the current folder.
 
-    They take no modules from the current folder, where the user may have one of a name of Python's; Python 3.10 has no such choice.
+    Ctrl-C reaches every process of a terminal, but the writing process ends the others. In the current folder the user may have a module
+    with the name of one of Python's; Python 3.10 cannot leave the folder out.
     """
     blocks, own = hasattr(signal, "pthread_sigmask"), os.environ.get(SAFE_PATH)
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if blocks else None

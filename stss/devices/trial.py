@@ -12,7 +12,7 @@ EVERY = "every"
 SIZE = 24, 40
 """Height and width of its frames."""
 TRIALS = (REALTIME, EVERY)
-"""The one with fewer layers first: both sets that come with the program have the same ones."""
+"""Fewer layers first. Both shipped sets of weights have the same layers, so one of them stands for both."""
 
 
 def trial_weights(trial: str) -> Weights:

@@ -95,7 +95,7 @@ class Pattern(NamedTuple):
 
     @property
     def end(self) -> str:
-        """``end`` of `numbered_files`: only a number behind the frame's has to be known before."""
+        """Argument ``end`` of `numbered_files`: what follows the frame's number, if another number is in it."""
         return self.after if _DIGIT.search(self.after) else ""
 
 

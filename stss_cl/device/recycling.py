@@ -42,7 +42,7 @@ class Recycler:
         return self._make(size)
 
     def give_back(self, block: Block) -> None:
-        """Let a block be taken again; nobody may use it any more."""
+        """Give a block back; the caller must not use it afterwards."""
         self._free.append(block)
 
     def array(self, shape: tuple[int, ...], dtype: np.dtype[Any]) -> NDArray[Any]:

@@ -57,7 +57,7 @@ def write_named(path: Path, data: bytes | str) -> None:
 
 @contextmanager
 def whole_folder(place: Path) -> Generator[Path, None, None]:
-    """A folder beside ``place`` for the block to fill, then renamed to it: by then nothing may be there. After an error there is none.
+    """A folder beside ``place`` for the block to fill, then renamed to it; nothing may lie there by then. After an error there is none.
 
     Raises:
         InputError: it can't be made, or not be renamed.
