@@ -142,7 +142,7 @@ class Render(bpy.types.Operator):
         folder, command = folder_of(settings.folder), chosen_command(context)
         cuts, options = film.cuts_of(film.harmless(settings.options))
         film.require(scene, cuts)
-        for line in film.unused(scene):
+        for line in film.list_unused(scene):
             self.report({"WARNING"}, line)
         first = scene.frame_start
         warnings, cuts = yield from film.render(scene, folder, cuts, lambda: film.try_first(folder, first, command, options))

@@ -131,7 +131,7 @@ def _cameras(scene: Any) -> set[Any]:
     return {scene.camera, *marked}
 
 
-def unused(scene: Any) -> list[str]:
+def list_unused(scene: Any) -> list[str]:
     """A line for each setting of the scene that the frames will not have."""
     render, edit, layer, lines = scene.render, scene.sequence_editor, layer_of(scene), []
     if render.use_motion_blur:

@@ -121,10 +121,10 @@ class Session:
 
     def status(self, report: bytes) -> int:
         """Its exit status, negative for a signal; OSError if it could not be started."""
-        return reported(report, self._program) if ON_LINUX else self.process.returncode
+        return status_of(report, self._program) if ON_LINUX else self.process.returncode
 
 
-def reported(report: bytes, program: str | Path) -> int:
+def status_of(report: bytes, program: str | Path) -> int:
     """The status of a program as its reaper reports it; without a report the reaper was killed, and the program with it."""
     kind, _, number = report.partition(b" ")
     if kind == b"errno":

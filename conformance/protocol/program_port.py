@@ -15,7 +15,7 @@ from conformance.protocol.program import NotStartedError, Program
 from conformance.protocol.stages import STAGES, check_inputs
 from stss_ref.weights import Weights, zeros
 
-PROBED = ((8, 8), (72, 136))
+PROBE_SIZES = ((8, 8), (72, 136))
 """(H, W) at which a program is asked for its stages."""
 
 
@@ -53,7 +53,7 @@ class FolderPort(Program):
         """
         if self._stages is None:
             stages: set[str] = set()
-            for size in PROBED:
+            for size in PROBE_SIZES:
                 cases = [smallest_case(stage, size) for stage in self._asked_for if stage not in stages]
                 answers = zip(cases, self._probe(cases), strict=True)
                 stages |= {case.stage for case, answer in answers if not isinstance(answer, Unsupported)}
@@ -117,7 +117,7 @@ class FolderPort(Program):
         return layers
 
 
-def smallest_case(stage: str, size: tuple[int, int] = PROBED[0]) -> Case:
+def smallest_case(stage: str, size: tuple[int, int] = PROBE_SIZES[0]) -> Case:
     """Zeros in the smallest sizes that every stage takes, and weights of zeros."""
     row = STAGES[stage]
     dtypes = {"float": DTYPE, "uint8": "uint8", "int": "int32"}

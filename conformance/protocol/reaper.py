@@ -13,7 +13,7 @@ from contextlib import suppress
 from pathlib import Path
 
 PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER = 1, 36
-RESTORED = [signal.SIGPIPE, signal.SIGXFSZ]
+SIGNALS = [signal.SIGPIPE, signal.SIGXFSZ]
 """Signals that Python ignores, while programs expect the default."""
 
 
@@ -31,7 +31,7 @@ def main() -> None:
     control(PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
     with suppress(StoppedError):
         try:
-            program = os.posix_spawnp(command[0], command, os.environ, setsid=True, setsigdef=RESTORED)
+            program = os.posix_spawnp(command[0], command, os.environ, setsid=True, setsigdef=SIGNALS)
             _, status = os.waitpid(program, 0)
             os.write(report, b"status %d" % os.waitstatus_to_exitcode(status))
         except OSError as error:
@@ -47,12 +47,12 @@ def _stop(*_: object) -> None:
 
 def end_all() -> None:
     """Kill all children, and their children, which become ours when their parents end."""
-    while sum(killed(child) for child in children()):
+    while sum(kill(child) for child in children()):
         os.wait()
 
 
-def killed(child: int) -> bool:
-    """Whether a process could be sent SIGKILL; one of another user cannot."""
+def kill(child: int) -> bool:
+    """Send SIGKILL to a process. False: it has ended, or is another user's."""
     try:
         os.kill(child, signal.SIGKILL)
     except (ProcessLookupError, PermissionError):

@@ -53,7 +53,7 @@ class Store:
         return base64.b64encode(gzip.compress(b"".join(array.tobytes() for array in self.arrays), 6)).decode()
 
 
-def recorded(window: list[DisplayFrame], weights: Weights, store: Store) -> dict[str, Any] | None:
+def record_frame(window: list[DisplayFrame], weights: Weights, store: Store) -> dict[str, Any] | None:
     """The calls of the newest frame of ``window``; None where it cannot be made."""
     schedule = schedule_of(window)
     if schedule is None:
@@ -86,7 +86,7 @@ def main() -> None:
         numbers = sequence.numbers[: options.frames]
         frames = [make_display_frame(sequence.load(n, color=n in rendered), transfer("srgb"), "scale") for n in numbers]
         store = Store()
-        frame_calls = [recorded(list(window_at(frames, i)), weights, store) for i in range(len(frames))]
+        frame_calls = [record_frame(list(window_at(frames, i)), weights, store) for i in range(len(frames))]
         data = {
             "frames": [frame for frame in frame_calls if frame is not None],
             "sizes": [array.size for array in store.arrays],

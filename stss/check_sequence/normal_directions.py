@@ -17,7 +17,7 @@ FLAT = 0.1
 """A surface counts where its positions' second differences are below this share of the first."""
 SHARE = 0.005
 """Least share of the frame of surfaces that face one way, for their mean normal to count."""
-ROUNDED = 0.01
+ROUNDING = 0.01
 """A unit normal's length differs by less from 1."""
 TILT = 5.0
 """Degrees: the least angle between the mean normals of one direction, as stored and by positions, from which there is a warning. Found:
@@ -57,7 +57,7 @@ def judge_normals(frame: Buffers, projection: Projection) -> NormalVerdict:
     by_position, flat = _normals_of(frame.position)
     hit = static_surfaces(frame) & np.isfinite(frame.normal).all(axis=-1)
     normals = frame.normal[hit].astype(np.float64)
-    if not len(normals) or (normals.min() >= 0 and np.median(np.abs(np.linalg.norm(normals, axis=-1) - 1)) > ROUNDED):
+    if not len(normals) or (normals.min() >= 0 and np.median(np.abs(np.linalg.norm(normals, axis=-1) - 1)) > ROUNDING):
         return NormalVerdict()  # stored as 0..1, which another finding says
     mask = flat & hit[1:-1, 1:-1]
     stored, right = _directions(frame.normal[1:-1, 1:-1][mask].astype(np.float64), by_position[mask], SHARE * hit.size)

@@ -45,7 +45,7 @@ LOOKS = 5
 """Steps of looking at pixels, each of which reads the pairs."""
 KEPT_BYTES = 1 << 30
 """Frames in memory: each of the looks takes much the same ones, and reading is most of the time."""
-LISTED = 8
+MOST_LISTED = 8
 """Most frame numbers that a line lists."""
 BYTES_PER_PIXEL = 20
 """Of an input pixel: four pixels of three halves, compressed by zip."""
@@ -188,15 +188,15 @@ def missing_frames(numbers: list[int]) -> list[CheckFinding]:
         return [CheckFinding("error", text)]
     missing = chain.from_iterable(range(a + 1, b) for a, b in pairwise(numbers))  # lazily: numbers may lie far apart
     verb = "is" if count == 1 else "are"
-    text = f"display {_frames(islice(missing, LISTED), count)} {verb} not there: every one needs its G-buffer and motion"
+    text = f"display {_frames(islice(missing, MOST_LISTED), count)} {verb} not there: every one needs its G-buffer and motion"
     return [CheckFinding("error", text)]
 
 
 def broken_frames(sequence: Sequence, numbers: list[int]) -> list[CheckFinding]:
     """Frames whose files cannot be read, or do not fit the others."""
     faults = [fault for n in numbers if (fault := sequence.frames[n].fault)]
-    findings = [CheckFinding("error", str(fault)) for fault in faults[:LISTED]]
-    if (more := len(faults) - LISTED) > 0:
+    findings = [CheckFinding("error", str(fault)) for fault in faults[:MOST_LISTED]]
+    if (more := len(faults) - MOST_LISTED) > 0:
         findings.append(CheckFinding("error", f"{more} more frames cannot be read, or do not fit the others"))
     return findings
 
@@ -270,8 +270,8 @@ def _samples(sequence: Sequence, number: int) -> int:
 
 def _frames(numbers: Iterable[int], count: int) -> str:
     """The first of ``count`` frames, as text."""
-    more = f", ... ({count} in all)" if count > LISTED else ""
-    return f"frame{'' if count == 1 else 's'} {', '.join(str(n) for n in islice(numbers, LISTED))}{more}"
+    more = f", ... ({count} in all)" if count > MOST_LISTED else ""
+    return f"frame{'' if count == 1 else 's'} {', '.join(str(n) for n in islice(numbers, MOST_LISTED))}{more}"
 
 
 def _frame_table(sequence: Sequence, numbers: list[int]) -> dict[str, object]:

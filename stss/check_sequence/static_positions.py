@@ -29,7 +29,7 @@ AGREES = 0.1
 """Pixels: the largest median error of motion that agrees with the positions, or three times the positions' own error."""
 BETTER = 0.25
 """Another meaning of the motion is named if its error is below this share of the stored motion's."""
-GUESSED = 1 << 17
+MOST_JUDGED = 1 << 17
 """Pixels, spread over all, by which other meanings are judged: of a million, thirty meanings take seconds."""
 MOVES = 0.25
 """Pixels: a smaller motion allows no judgement."""
@@ -267,7 +267,7 @@ def _verdict(
 ) -> StaticVerdict:
     true, motion, reversed_rows = (np.concatenate(of) for of in zip(*samples, strict=True))
     residual, depth, share, movers, *angles = (float(np.median(of)) for of in zip(*single, strict=True))
-    some = slice(None, None, -(-len(true) // GUESSED))
+    some = slice(None, None, -(-len(true) // MOST_JUDGED))
     guesses = _guesses(motion[some], reversed_rows[some], size, mirrored=mirrored)
     errors = {what: _error(true[some], guess) for what, guess in guesses.items() if what}
     own, best = _error(true, motion), min(errors, key=lambda what: errors[what])

@@ -27,7 +27,7 @@ MEANINGS = {
     BILINEAR: "The input enlarged bilinearly.",
     TRUTH: "What the frame should be.",
 }
-PLOTTED = {
+PLOTS = {
     "psnr_rgb": "PSNR over RGB, dB",
     "ssim": "SSIM of the luma",
     "flip": "FLIP, mean error",
@@ -128,8 +128,8 @@ def write_comparison(
         views=views,
         pair=pair if pair[0] != pair[1] else (best.name, TRUTH),
         plots=[
-            plot(PLOTTED[metric], lines, digits=METRICS[metric][1], frames=numbers)
-            for metric in PLOTTED
+            plot(PLOTS[metric], lines, digits=METRICS[metric][1], frames=numbers)
+            for metric in PLOTS
             if metric in best.comparison.metrics and (lines := _lines(versions, metric))
         ],
         tables=[

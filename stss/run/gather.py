@@ -29,7 +29,7 @@ _LINE = re.compile(r"([0-9a-f]{64})  ([^/]+)/(.+)")
 _FRAME = re.compile(r"frame\.(-?\d+)\.\w+")
 
 
-LISTED = 8
+MOST_LISTED = 8
 """Most frames that are listed as missing."""
 MADE_BY = ("backend", "version")
 """What may differ, with the last bits of the pictures."""
@@ -42,7 +42,7 @@ class Content(NamedTuple):
         parts: their number.
         frames: the number of frames in the folder.
         missing: the number of frames that it lacks.
-        first_missing: the first `LISTED` of these.
+        first_missing: the first `MOST_LISTED` of these.
         makers: devices and versions of stss that made the frames.
     """
 
@@ -118,7 +118,7 @@ def gather(
     inside = sorted(number for number in there if first <= number <= last)
     gaps = (range(a + 1, b) for a, b in pairwise([first - 1, *inside, last + 1]))  # lazily: numbers may lie far apart
     return Content(
-        len(folders), len(there), last - first + 1 - len(inside), tuple(islice(chain.from_iterable(gaps), LISTED)), makers
+        len(folders), len(there), last - first + 1 - len(inside), tuple(islice(chain.from_iterable(gaps), MOST_LISTED)), makers
     )
 
 

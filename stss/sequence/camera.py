@@ -22,7 +22,7 @@ MAX_BYTES = 64 << 20
 PLACE = ("frame", "x", "y", "z")
 FAR = ("ux", "uy", "uz", "vx", "vy", "vz", "wx", "wy", "wz")
 """Columns of a table; the second ones, `CameraPose.far`, may be left out."""
-ROUNDED = 1e-4
+ROUNDING = 1e-4
 """Largest difference of a matrix's last row from 0, 0, 0, 1: a projection's differs by about 1."""
 
 
@@ -56,7 +56,7 @@ class CameraPose:
 
 def _is_last(row: Array) -> bool:
     """Whether it is 0, 0, 0, 1 but for the rounding of whoever inverted the matrix."""
-    return bool(np.abs(row - (0, 0, 0, 1)).max() <= ROUNDED)
+    return bool(np.abs(row - (0, 0, 0, 1)).max() <= ROUNDING)
 
 
 def read_cameras(path: Path) -> dict[int, CameraPose]:

@@ -16,7 +16,7 @@ from stss_ground.errors import InputError
 LAYERS = ("ViewLayer", "View Layer", "RenderLayer")
 """Blender's names for the only layer of a new scene; they differ between its versions."""
 
-EXPLAINED = 3
+MOST_EXPLAINED = 3
 """Most missing buffers that one line explains."""
 
 
@@ -172,9 +172,13 @@ class MissingBuffersError(InputError):
         there = sorted({name for file in files for name in read_header(file).channels})
         free = {*there} - {name for source in sources.values() for name in source.names}
         self.each = tuple(_missing_buffer(profile, buffer, free) for buffer in buffers)
-        more = f"; no {', '.join(buffers[EXPLAINED:])} either: stss check explains each" if len(buffers) > EXPLAINED else ""
+        more = (
+            f"; no {', '.join(buffers[MOST_EXPLAINED:])} either: stss check explains each"
+            if len(buffers) > MOST_EXPLAINED
+            else ""
+        )
         self.channels = listing(there) or "nothing"
-        super().__init__(f"{where}: {'; '.join(self.each[:EXPLAINED])}{more}; found {self.channels}")
+        super().__init__(f"{where}: {'; '.join(self.each[:MOST_EXPLAINED])}{more}; found {self.channels}")
 
 
 def _missing_buffer(profile: Profile, buffer: str, free: Collection[str]) -> str:

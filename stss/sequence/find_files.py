@@ -32,7 +32,7 @@ _FRACTION = re.compile(r"(.*[^\dvV]|)(\d+)\.", re.DOTALL)
 MAX_DIGITS = 9
 """Most digits of a frame number, not counting leading zeros; a longer number is a date or a hash."""
 
-LISTED = 5
+MOST_LISTED = 5
 """Most sequences that an error lists: where another number than the frame's is the last one, each frame looks like a sequence."""
 LOOKED_INTO = 20
 """Most folders in the place of a sequence whose images are looked at; some farms leave one for each frame."""
@@ -147,7 +147,7 @@ def find_frames(path: Path, endings: Collection[str]) -> Frames:
         first = {name[0]: file for name, file in reversed(parts) if name is not None}
         patterns = {_pattern(file): len(by_prefix[name]) for name, file in first.items()}
         found = sorted(patterns, key=lambda pattern: (-patterns[pattern], pattern))
-        counts = listing([f"{each} ({patterns[each]} frame{'s' * (patterns[each] > 1)})" for each in found], LISTED)
+        counts = listing([f"{each} ({patterns[each]} frame{'s' * (patterns[each] > 1)})" for each in found], MOST_LISTED)
         raise InputError(
             f"{path}: several sequences: {counts}; give one as a pattern, with #### for the number{_other_number(files)}{_fractions(files)}"
         )
@@ -191,7 +191,7 @@ def _below(folder: Path) -> str:
         images = (next((file for file in sorted(each.iterdir()) if file.suffix.lower() == ".exr"), None) for each in below)
         some = list(islice((image for image in images if image is not None), LOOKED_INTO))
         if len(some) > 2 and len({image.name for image in some}) == 1 and _DIGIT.search(some[0].stem):
-            names = listing([image.parent.name for image in some], LISTED)
+            names = listing([image.parent.name for image in some], MOST_LISTED)
             return (
                 f"; its folders {names} have frames of the same names: if each holds a pass, put all into one folder, with the pass in "
                 f"the name, {some[0].parent.name}.{some[0].name}, and say --profile FILE.toml (docs/profiles.md, [files])"

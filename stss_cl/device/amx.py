@@ -18,7 +18,7 @@ from stss_cl.device.program import program_for
 from stss_cl.device.proof import are_right
 from stss_ground.machine import cpu_flags
 
-NEEDED = frozenset({"amx_tile", "amx_bf16", "avx512_bf16", "avx512vl"})
+CPU_FLAGS = frozenset({"amx_tile", "amx_bf16", "avx512_bf16", "avx512vl"})
 """Flags of a processor with tiles that multiply bfloat16, and with conversions to it; Linux lists a flag only if its kernel supports it."""
 ARCH_PRCTL, REQUEST_PERMISSION, TILE_DATA = 158, 0x1023, 18
 """Linux's system call on x86-64 with which a process requests the tiles' 8 KiB of state, once for all its threads."""
@@ -28,11 +28,11 @@ def missing(device: Properties) -> str:
     """The reason to emulate products of bfloat16 on this device; "" if none is known before a test."""
     if device.kind != "CPU" or not device.is_cpu:
         return "no processor"
-    if platform.machine() != "x86_64" or not cpu_flags() >= NEEDED:
+    if platform.machine() != "x86_64" or not cpu_flags() >= CPU_FLAGS:
         return "the processor has no matrix units for bfloat16 (AMX)"
     if not device.is_pocl_processor:  # Intel's refuses the assembler, Oclgrind's ends the process
         return "the runtime's compiler takes no assembler of matrix units (AMX); PoCL's does"
-    return "" if permitted() else "the system refuses its matrix units (AMX)"
+    return "" if request_tiles() else "the system refuses its matrix units (AMX)"
 
 
 def are_used(device: Device) -> bool:
@@ -46,7 +46,7 @@ def why_emulated(device: Device) -> str:
 
 
 @cache
-def permitted() -> bool:
+def request_tiles() -> bool:
     """Ask Linux for the tiles; it refuses them to a process with a thread whose signal stack is too small."""
     if os.name != "posix":
         return False

@@ -34,7 +34,7 @@ ALIGNMENT = 16
 
 
 @dataclass(frozen=True)
-class Padded:
+class FeatureMap:
     """Activations (height, width, channels), channels last, inside a border of zeros (kernels/common.clh).
 
     Attributes:
@@ -97,10 +97,10 @@ def map_bytes(height: int, width: int, images: int = 1) -> int:
     return images * (-(-height // 4) * 4) * (-(-width // 4) * 4) + 64
 
 
-def pad(device: Device, height: int, width: int, channels: int, dtype: np.dtype[Any], images: int = 1) -> Padded:
+def pad(device: Device, height: int, width: int, channels: int, dtype: np.dtype[Any], images: int = 1) -> FeatureMap:
     """Allocate activations of zeros, without a change map."""
     data = make_zeros(device, padded_bytes(height, width, channels, dtype, images))
-    return Padded(data, height, width, channels, dtype, images)
+    return FeatureMap(data, height, width, channels, dtype, images)
 
 
 @dataclass(frozen=True)
@@ -115,9 +115,9 @@ class Inputs:
         changes: the change maps of ``input``, ``earlier`` and ``eighth``; None: there are none.
     """
 
-    input: Padded
-    earlier: Padded
-    eighth: Padded
+    input: FeatureMap
+    earlier: FeatureMap
+    eighth: FeatureMap
     base: cl.Buffer
     changes: Parts | None = None
 
@@ -136,7 +136,7 @@ def inputs_for(device: Device, rows: int, columns: int, dtype: np.dtype[Any], ch
     return Inputs(input_, earlier, eighth, base, maps)
 
 
-def write(device: Device, to: Padded, array: Array, first: int = 0) -> None:
+def write(device: Device, to: FeatureMap, array: Array, first: int = 0) -> None:
     """Copy (height, width, C) or (images, height, width, C) into channels ``first`` .. of ``to``, the others 0."""
     host = np.zeros((to.images, to.rows, to.columns, to.channels), to.dtype)
     rows, columns = to.inside
@@ -144,7 +144,7 @@ def write(device: Device, to: Padded, array: Array, first: int = 0) -> None:
     cl.enqueue_copy(device.queue, to.data, host)
 
 
-def read(device: Device, source: Padded, first: int = 0, channels: int | None = None, image: int = 0) -> Array:
+def read(device: Device, source: FeatureMap, first: int = 0, channels: int | None = None, image: int = 0) -> Array:
     """Copy one image out: (height, width, channels) float32."""
     host = np.empty((source.images, source.rows, source.columns, source.channels), source.dtype)
     cl.enqueue_copy(device.queue, host, source.data)  # the slack stays behind

@@ -9,14 +9,14 @@ from typing import Any
 import pyopencl as cl
 
 from stss_cl.device import amx, matrix_units
-from stss_cl.device.buffers import Padded, constant, storage
+from stss_cl.device.buffers import FeatureMap, constant, storage
 from stss_cl.device.conversion import storage_options
 from stss_cl.device.discovery import Device
 from stss_cl.device.grid import ceil_div, list_size
 from stss_cl.device.tuning import tuning_for
 from stss_cl.network import conv_gpu
 from stss_cl.network.layer import FAST, KernelSource, LayerLaunch, Shape, Work, layer
-from stss_cl.network.pack_weights import Packed, amx_bias, amx_tiles, in_lanes, pair_inputs, winograd
+from stss_cl.network.pack_weights import PackedLayer, amx_bias, amx_tiles, in_lanes, pair_inputs, winograd
 from stss_cl.network.tiles import Maps, Tiling, of_convolution
 
 
@@ -66,7 +66,7 @@ class ConvSpec:
 
     stage: str
     name: str
-    packed: Packed
+    packed: PackedLayer
     stride: int = 1
     relu: bool = True
     side: int = 4
@@ -75,9 +75,9 @@ class ConvSpec:
 def conv(
     device: Device,
     spec: ConvSpec,
-    a: Padded,
-    b: Padded | None,
-    out: Padded,
+    a: FeatureMap,
+    b: FeatureMap | None,
+    out: FeatureMap,
     *,
     out_first: int = 0,
     image: int | None = 0,
@@ -118,7 +118,7 @@ def conv(
     return layer(device, spec.stage, spec.name, source, arguments, work, maps, None if final else out)
 
 
-def _from_image_to_image(a: Padded, out: Padded, packed: Packed, shape: Shape) -> dict[str, int]:
+def _from_image_to_image(a: FeatureMap, out: FeatureMap, packed: PackedLayer, shape: Shape) -> dict[str, int]:
     """The distance between two images: in values of the input and of the output, pixels of the change map, rows of tiles."""
     several = out.images > 1
     return {
@@ -129,7 +129,7 @@ def _from_image_to_image(a: Padded, out: Padded, packed: Packed, shape: Shape) -
     }
 
 
-def _tensors(device: Device, packed: Packed, shape: Shape) -> dict[str, Any]:
+def _tensors(device: Device, packed: PackedLayer, shape: Shape) -> dict[str, Any]:
     weight = constant(device, shape.weight)
     return {
         "weight": weight,
@@ -140,7 +140,7 @@ def _tensors(device: Device, packed: Packed, shape: Shape) -> dict[str, Any]:
 
 
 def _source(
-    device: Device, shape: Shape, packed: Packed, a: Padded, b: Padded | None, out: Padded, *, relu: bool
+    device: Device, shape: Shape, packed: PackedLayer, a: FeatureMap, b: FeatureMap | None, out: FeatureMap, *, relu: bool
 ) -> KernelSource:
     """The source and options from which the layer's kernel is built."""
     options = {
@@ -160,7 +160,7 @@ def _source(
     )
 
 
-def _shape(device: Device, spec: ConvSpec, a: Padded, out: Padded, final: Final | None, images: int) -> Shape:
+def _shape(device: Device, spec: ConvSpec, a: FeatureMap, out: FeatureMap, final: Final | None, images: int) -> Shape:
     """The fastest kernel for this layer by the row of tile sizes; the plain one for side 0."""
     packed, stride, side = spec.packed, spec.stride, spec.side
     tuning, whole_eights = tuning_for(device), a.channels % 8 == 0
@@ -178,7 +178,7 @@ def _shape(device: Device, spec: ConvSpec, a: Padded, out: Padded, final: Final 
     return _direct(device, packed, out, stride, final)
 
 
-def _on_amx(device: Device, packed: Packed, a: Padded, out: Padded | Final, stride: int, *, image: bool) -> Shape:
+def _on_amx(device: Device, packed: PackedLayer, a: FeatureMap, out: FeatureMap | Final, stride: int, *, image: bool) -> Shape:
     tiling = Tiling(ceil_div(out.height, 4), ceil_div(out.width, 32), (4 * stride, 32 * stride), 1, 1 - stride)
     return Shape(
         file="conv_amx.cl",
@@ -192,7 +192,7 @@ def _on_amx(device: Device, packed: Packed, a: Padded, out: Padded | Final, stri
     )
 
 
-def _maps(a: Padded, image: int, other: Padded | Final | None) -> Maps | None:
+def _maps(a: FeatureMap, image: int, other: FeatureMap | Final | None) -> Maps | None:
     """The change maps of all inputs; None: they have none."""
     if a.changes is None:
         return None
@@ -200,7 +200,7 @@ def _maps(a: Padded, image: int, other: Padded | Final | None) -> Maps | None:
     return Maps(buffers, a.rows - 2, a.columns - 2, image * (a.rows - 2) * (a.columns - 2))
 
 
-def _winograd(device: Device, packed: Packed, out: Padded, side: int, stride: int, final: Final | None) -> Shape:
+def _winograd(device: Device, packed: PackedLayer, out: FeatureMap, side: int, stride: int, final: Final | None) -> Shape:
     row = tuning_for(device).winograd_for(packed.direct.shape[-1])
     (kernels, gate), target = in_lanes(packed, row.vector), final or out
     outputs = packed.direct.shape[-1]
@@ -229,7 +229,7 @@ def _winograd(device: Device, packed: Packed, out: Padded, side: int, stride: in
     )
 
 
-def _direct(device: Device, packed: Packed, out: Padded, stride: int, final: Final | None) -> Shape:
+def _direct(device: Device, packed: PackedLayer, out: FeatureMap, stride: int, final: Final | None) -> Shape:
     assert final is None
     size, _, _, outputs = packed.direct.shape
     row = tuning_for(device).direct_for(outputs)

@@ -4,11 +4,11 @@
 from __future__ import annotations
 
 from stss_cl.device import matrix_units
-from stss_cl.device.buffers import Padded
+from stss_cl.device.buffers import FeatureMap
 from stss_cl.device.discovery import Device
 from stss_cl.device.grid import ceil_div
 from stss_cl.network.layer import Shape
-from stss_cl.network.pack_weights import Packed, fragments
+from stss_cl.network.pack_weights import PackedLayer, fragments
 from stss_cl.network.tiles import Tiling
 
 WIDE, TALL = 32, 4
@@ -22,7 +22,7 @@ LOCAL = 48 << 10
 """Most bytes of local memory that conv_mma.cl takes: those of NVIDIA's GPUs. Processors, which have more, emulate the same kernels."""
 
 
-def local(device: Device, packed: Packed, out: Padded, stride: int, most_rows: int, images: int) -> Shape:
+def local(device: Device, packed: PackedLayer, out: FeatureMap, stride: int, most_rows: int, images: int) -> Shape:
     """The shape of conv_local.cl for this layer; a work-item has at most ``most_rows`` rows of pixels."""
     outputs, rows = packed.direct.shape[-1], _rows(device, out, most_rows, images)
     tiling, slices = _tiling(out, rows, stride, images), next(n for n in OUTPUTS if outputs % n == 0) // 8
@@ -37,7 +37,7 @@ def local(device: Device, packed: Packed, out: Padded, stride: int, most_rows: i
     )
 
 
-def on_matrix_units(device: Device, packed: Packed, out: Padded, stride: int, most_rows: int, images: int) -> Shape:
+def on_matrix_units(device: Device, packed: PackedLayer, out: FeatureMap, stride: int, most_rows: int, images: int) -> Shape:
     """The shape of conv_mma.cl for this layer; a work-item has at most ``most_rows`` rows of pixels."""
     inner, outputs = ceil_div(packed.direct.shape[2], 8), packed.direct.shape[3]
     most_rows = 1 if stride == 2 else _rows(device, out, most_rows, images)
@@ -68,7 +68,7 @@ def on_matrix_units(device: Device, packed: Packed, out: Padded, stride: int, mo
     )
 
 
-def _eights(device: Device, packed: Packed, stride: int, rows: int, block: int) -> int:
+def _eights(device: Device, packed: PackedLayer, stride: int, rows: int, block: int) -> int:
     """Most eights of input channels, a divisor of all, whose tile and weights fit into local memory together; 1 if none does."""
     inner = ceil_div(packed.direct.shape[2], 8)
     plane = 34 * stride * (stride * (TALL * rows - 1) + 3) + 2
@@ -86,13 +86,13 @@ def _eights(device: Device, packed: Packed, stride: int, rows: int, block: int) 
     )
 
 
-def _rows(device: Device, out: Padded, most: int, images: int) -> int:
+def _rows(device: Device, out: FeatureMap, most: int, images: int) -> int:
     """Rows of pixels of a work-item: layers with few tiles get smaller ones, which use more of the device."""
     tiles = images * ceil_div(out.width, WIDE) * ceil_div(out.height, TALL * most)
     return most if tiles >= 2 * device.compute_units else 1
 
 
-def _tiling(out: Padded, rows: int, stride: int, images: int) -> Tiling:
+def _tiling(out: FeatureMap, rows: int, stride: int, images: int) -> Tiling:
     tall = TALL * rows
     across = ceil_div(out.width, WIDE)
     return Tiling(ceil_div(out.height, tall), across, (stride * tall, stride * WIDE), 1, 1 - stride, images)

@@ -11,7 +11,7 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from stss_cl.device.buffers import Padded
+from stss_cl.device.buffers import FeatureMap
 from stss_cl.device.discovery import Device
 from stss_cl.device.launch import Arguments, Kernel, Launch
 from stss_cl.device.program import marking, program_for
@@ -99,7 +99,7 @@ def layer(
     arguments: Arguments,
     work: Work,
     reads: Maps | None,
-    out: Padded | None,
+    out: FeatureMap | None,
 ) -> LayerLaunch:
     """A layer over all tiles of its output.
 

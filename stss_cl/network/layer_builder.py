@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from stss_cl.device.buffers import BFLOAT16, Inputs, Padded, map_bytes, pad
+from stss_cl.device.buffers import BFLOAT16, FeatureMap, Inputs, map_bytes, pad
 from stss_cl.device.conversion import storage_options
 from stss_cl.device.discovery import Device
 from stss_cl.device.grid import GROUP, list_size
@@ -42,7 +42,7 @@ class LayerBuilder:
 
     def __init__(self, device: Device, weights: Tensors, precision: str, slots: Sequence[Slot], inputs: Inputs):
         self.launches: list[LayerLaunch] = []
-        self.results: list[tuple[Padded, int, int] | None] = []
+        self.results: list[tuple[FeatureMap, int, int] | None] = []
         full = inputs.input
         self._device, self._weights, self._dtype = device, weights, full.dtype
         self._winograd = precision != "float32-direct"
@@ -58,7 +58,7 @@ class LayerBuilder:
         )
         self._tensors = dict(zip(slots, (*first, *(self.marked or tensors)), strict=True))
 
-    def __getitem__(self, slot: Slot) -> Padded:
+    def __getitem__(self, slot: Slot) -> FeatureMap:
         return self._tensors[slot]
 
     def conv(self, step: Conv, final: Final | None = None) -> None:
@@ -82,8 +82,8 @@ class LayerBuilder:
         tiling: Tiling,
         *,
         workers: int = 16,
-        reads: tuple[Padded, ...],
-        out: Padded | None,
+        reads: tuple[FeatureMap, ...],
+        out: FeatureMap | None,
     ) -> LayerLaunch:
         """Append any other kernel over tiles; the list of its tiles is added to ``arguments``.
 

@@ -9,7 +9,7 @@ from functools import cached_property, partial
 import numpy as np
 import pyopencl as cl
 
-from stss_cl.device.buffers import BFLOAT16, Outgoing, Padded, constant, incoming, inputs_for, read, write
+from stss_cl.device.buffers import BFLOAT16, FeatureMap, Outgoing, constant, incoming, inputs_for, read, write
 from stss_cl.device.discovery import Device
 from stss_cl.device.grid import ceil8, ceil_div
 from stss_cl.device.launch import enqueue
@@ -28,7 +28,7 @@ from stss_ref.arrays import Array
 from stss_ref.constants import HoleFill, HoleTest
 from stss_ref.weights import BY_NAME, SecondColor, Weights
 
-See = Callable[[LayerLaunch, tuple[Padded, int, int] | None], None]
+See = Callable[[LayerLaunch, tuple[FeatureMap, int, int] | None], None]
 WINDOW = 5
 """Side of the attention's window, in pixels at 1/8 size."""
 SHARED, COLUMNS = 128, 64
@@ -162,7 +162,7 @@ class Layers:
         """The result of each layer of a stage, or of all (``network``; docs/ports.md); the last one is fused if Winograd runs."""
         results: dict[str, list[Array]] = {}
 
-        def see(launch: LayerLaunch, result: tuple[Padded, int, int] | None) -> None:
+        def see(launch: LayerLaunch, result: tuple[FeatureMap, int, int] | None) -> None:
             if result is not None:
                 out, first, n = result
                 for i in range(launch.tiling.images):  # each an image of the output, or channels behind the one before it

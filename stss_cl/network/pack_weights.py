@@ -32,7 +32,7 @@ EVERY_SECOND = np.array([[1.0, 0, 0], [1, 0, 1], [0, 0, 1], [0, 1, 0], [0, 1, 0]
 
 
 @dataclass(frozen=True)
-class Packed:
+class PackedLayer:
     """One layer's tensors, float32.
 
     ``direct`` (k, k, IN, OUT), ``gate_direct`` (k, k, IN, 1) or None, ``bias`` (OUT), ``gate_bias``. Inputs after the first ``used``
@@ -46,7 +46,7 @@ class Packed:
     used: int
 
 
-def pack(weights: Tensors, name: str, inputs: tuple[tuple[int, int], ...]) -> Packed:
+def pack(weights: Tensors, name: str, inputs: tuple[tuple[int, int], ...]) -> PackedLayer:
     """Pack the layer ``name``.
 
     Args:
@@ -64,7 +64,7 @@ def pack(weights: Tensors, name: str, inputs: tuple[tuple[int, int], ...]) -> Pa
     weight = np.pad(weight, ((0, ceil8(outputs) - outputs), (0, 0), (0, 0), (0, 0)))
     bias = np.pad(weights[f"{feature}.bias"], (0, ceil8(outputs) - outputs))
     gate = _spread(weights[f"{name}.conv_mask.0.weight"], inputs) if gated else None
-    return Packed(
+    return PackedLayer(
         direct=_direct(weight),
         gate_direct=None if gate is None else _direct(gate),
         bias=bias.astype(np.float32),
@@ -104,7 +104,7 @@ def _direct(weight: NDArray[Any]) -> NDArray[np.float32]:
     return np.ascontiguousarray(weight.transpose(2, 3, 1, 0), np.float32)
 
 
-def in_lanes(packed: Packed, vector: int) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
+def in_lanes(packed: PackedLayer, vector: int) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
     """The outputs' kernels, padded to whole vectors, and the gate's kernel unless it is in the first lane behind the outputs."""
     outputs = packed.direct.shape[-1]
     empty = -outputs % vector
@@ -127,7 +127,7 @@ def winograd(kernels: NDArray[np.float32], side: int, block: int, stride: int = 
     """Kernels of 3 x 3 as winograd.cl reads them, transformed in float64.
 
     Args:
-        kernels: (3, 3, IN, OUT), as in `Packed`.
+        kernels: (3, 3, IN, OUT), as in `PackedLayer`.
         side: of a tile; 2 at stride 2.
         block: outputs that are read together, a divisor of OUT.
         stride: 1 or 2.
@@ -143,7 +143,7 @@ def winograd(kernels: NDArray[np.float32], side: int, block: int, stride: int = 
     return np.ascontiguousarray(blocks, np.float32)
 
 
-def amx_tiles(packed: Packed, first: int) -> NDArray[np.uint16]:
+def amx_tiles(packed: PackedLayer, first: int) -> NDArray[np.uint16]:
     """Kernels of 3 x 3 and their gate as conv_amx.cl reads them, in bfloat16.
 
     Args:
@@ -166,13 +166,13 @@ def amx_tiles(packed: Packed, first: int) -> NDArray[np.uint16]:
     return to_bfloat16(np.concatenate(tiles))
 
 
-def amx_bias(packed: Packed) -> NDArray[np.float32]:
+def amx_bias(packed: PackedLayer) -> NDArray[np.float32]:
     """The biases of the outputs and of the gate behind them, filled up to whole tiles."""
     bias = packed.bias if packed.gate_direct is None else np.append(packed.bias, np.float32(packed.gate_bias))
     return np.pad(bias, (0, -len(bias) % 16))
 
 
-def fragments(packed: Packed, eights: int, block: int) -> NDArray[np.float16]:
+def fragments(packed: PackedLayer, eights: int, block: int) -> NDArray[np.float16]:
     """Kernels of 3 x 3 and their gate as conv_mma.cl reads them, in half.
 
     Args:

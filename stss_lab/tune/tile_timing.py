@@ -17,13 +17,13 @@ from stss_cl.device.grid import ceil8
 from stss_cl.device.launch import Launch
 from stss_cl.device.tuning import Direct, Local, Tuning, Winograd, trial
 from stss_cl.network.conv import ConvSpec, conv
-from stss_cl.network.pack_weights import Packed, pack
+from stss_cl.network.pack_weights import PackedLayer, pack
 from stss_ground.errors import DeviceError
 from stss_ref.arrays import Array
 
 MIN_DURATION = 2e-3
 """Least duration of one timing, reached by repetition; seconds."""
-CHECKED = (45, 75)
+CHECK_SIZE = (45, 75)
 """Output size (H, W) at which a candidate is compared with the plain kernel: no tile size divides it, and it has several strips."""
 PLAIN = Direct(1, 1, 1)
 INTEL = "Intel(R) OpenCL:"
@@ -90,7 +90,7 @@ class Trials:
             rounds: timings of each.
         """
         packed = _pack(shape)
-        small = _Layer(device, shape, CHECKED, packed)
+        small = _Layer(device, shape, CHECK_SIZE, packed)
         frame = _Layer(device, shape, (ceil8(size[0]) // shape.divisor, ceil8(size[1]) // shape.divisor), packed)
         want = small.run(PLAIN)
         launches: dict[Sizes, tuple[Launch, int]] = {}
@@ -150,7 +150,7 @@ def direct_candidates(device: Properties, outputs: int) -> list[Direct]:
 class _Layer:
     """Buffers of one layer, the inputs random, and its launches with any tile sizes."""
 
-    def __init__(self, device: Device, shape: LayerShape, size: tuple[int, int], packed: Packed):
+    def __init__(self, device: Device, shape: LayerShape, size: tuple[int, int], packed: PackedLayer):
         self._device, self._shape, self._packed = device, shape, packed
         random = np.random.default_rng(1)
         inputs = size[0] * shape.stride, size[1] * shape.stride
@@ -197,7 +197,7 @@ def _seconds(device: Device, launch: Launch, repeat: int) -> float:
     return (time.perf_counter() - start) / repeat
 
 
-def _pack(shape: LayerShape) -> Packed:
+def _pack(shape: LayerShape) -> PackedLayer:
     """Weights that keep activations of order 1."""
     random, inputs = np.random.default_rng(0), shape.a + shape.b
     branches = {".conv_feature": shape.outputs, ".conv_mask.0": 1} if shape.gated else {"": shape.outputs}

@@ -143,7 +143,7 @@ def test_what_is_missing_is_said(gpu, monkeypatch):
     both = "amx_bf16 amx_tile avx512_bf16 avx512vl"
     for flags, allowed, words in (("avx2 amx_tile", True, "no matrix units"), (both, False, "refuses"), (both, True, "")):
         monkeypatch.setattr(amx, "cpu_flags", lambda flags=flags: frozenset(flags.split()))
-        monkeypatch.setattr(amx, "permitted", lambda allowed=allowed: allowed)
+        monkeypatch.setattr(amx, "request_tiles", lambda allowed=allowed: allowed)
         assert words in amx.missing(pocl)
         assert bool(amx.missing(pocl)) == bool(words)
     other = SimpleNamespace(platform=SimpleNamespace(name="Oclgrind"), name="Oclgrind Simulator", type=cl.device_type.CPU)

@@ -26,7 +26,7 @@ from stss_cl.image_space.stages import STAGES, ImageStages
 from stss_cl.network import conv_gpu
 from stss_cl.network.conv import ConvSpec, conv
 from stss_cl.network.network import Network
-from stss_cl.network.pack_weights import Packed
+from stss_cl.network.pack_weights import PackedLayer
 from stss_cl.skip.stream import Stream
 from tests.cl.conftest import watch_launches
 from tests.cl.films import WEIGHTS, calls_of, film, halve, network_inputs
@@ -101,7 +101,7 @@ def matrix(device):
     dtype, random = np.dtype(np.float16), np.random.default_rng(0)
     for stride, size, local in ((1, (5, 33), conv_gpu.LOCAL), (2, (3, 7), conv_gpu.LOCAL), (1, (5, 33), 0)):
         direct, gate = (random.normal(size=(3, 3, 16, n)).astype(np.float32) for n in (24, 1))
-        packed = Packed(direct, gate, np.ones(24, np.float32), 0.5, 16)
+        packed = PackedLayer(direct, gate, np.ones(24, np.float32), 0.5, 16)
         inputs = [pad(device, stride * size[0], stride * size[1], 8, dtype) for _ in range(2)]
         for buffer in inputs:
             write(device, buffer, random.random((buffer.height, buffer.width, 8), np.float32))
