@@ -63,6 +63,9 @@ BOUNDS = {
     "sums.signed": Bound(8, 0, "sum of N such errors over sqrt(N): standard deviations of what is rounded either way as often"),
     "sums.quotient": Bound(6, 0, "erm's product with a weight, 1, and its quotient by the same, 2.5 ulp of up to 2 u"),
     "quarter": Bound(1, 0, "fraction -+ 1/4, below 2, rounded once; scale: 1 pixel, times slope and contrast, as motion"),
+    "slowness": Bound(
+        8, 0, "two products and their sum 2, a quotient 5, a product 1; scale: a reading's distance from the image"
+    ),
     "accumulate": Bound(
         3,
         0,

@@ -9,10 +9,10 @@
 //  to_older  in   (H, W, 2)    px, current -> older; not read if count is 1
 //  shown     out  (2H, 2W, 3)  the shares of the earlier images where motion leads into them, else of image
 //
-// Build -D NEWER_SHARE -D OLDER_SHARE.  Launch (W, H) rounded up: a work-item makes the 2 x 2 display pixels of a pixel,
+// Build -D NEWER_SHARE -D OLDER_SHARE -D SLOW.  Launch (W, H) rounded up: a work-item makes the 2 x 2 display pixels of a pixel,
 // which share its motion.
-#if !defined NEWER_SHARE || !defined OLDER_SHARE
-#error "accumulate.cl needs -D NEWER_SHARE -D OLDER_SHARE"
+#if !defined NEWER_SHARE || !defined OLDER_SHARE || !defined SLOW
+#error "accumulate.cl needs -D NEWER_SHARE -D OLDER_SHARE -D SLOW"
 #endif
 #include "sample.clh"
 
@@ -118,17 +118,26 @@ INLINE int8 are_inside(const Place at, const int rows, const int columns)
     return (int8)(a, a, a, b, b, b, 0, 0);
 }
 
+// How much of its share an earlier image keeps; 1 or NaN where motion is NaN.
+INLINE float slowness(const float2 motion)
+{
+    return SLOW * SLOW / fmax(dot(motion, motion), SLOW * SLOW);
+}
+
 INLINE Apart apart_where_inside(global const float *earlier, const float2 motion, const int x, const int y,
-                                const Boxes boxes, const int rows, const int columns)
+                                const Boxes boxes, const int rows, const int columns, const float share)
 {
     const Place at = follow(2.0f * motion, x, y, rows, columns);
-    if (at.finite && at.x >= 0 && at.x + 3 < columns && at.y >= 0 && at.y + 2 < rows)
-        return apart(earlier, at, boxes, rows, columns, true);
+    const bool inner = at.finite && at.x >= 0 && at.x + 3 < columns && at.y >= 0 && at.y + 2 < rows;
     Place below = at;
     below.y += 1;
-    const Apart all = apart(earlier, at, boxes, rows, columns, false);
-    const Apart off = {are_inside(at, rows, columns) ? all.top : (Two)(0.0f),
-                       are_inside(below, rows, columns) ? all.bottom : (Two)(0.0f)};
+    Apart off =
+        inner ? apart(earlier, at, boxes, rows, columns, true) : apart(earlier, at, boxes, rows, columns, false);
+    off.top *= share * slowness(motion);
+    off.bottom *= share * slowness(motion);
+    if (inner) return off;
+    off.top = are_inside(at, rows, columns) ? off.top : (Two)(0.0f);
+    off.bottom = are_inside(below, rows, columns) ? off.bottom : (Two)(0.0f);
     return off;
 }
 
@@ -149,13 +158,11 @@ kernel void accumulate(global const float *restrict image, global const float *r
     const bool inner = column > 0 && column < width - 1 && row > 0 && row < height - 1;
     const Boxes boxes =
         inner ? boxes_of(image, x, y, rows, columns, true) : boxes_of(image, x, y, rows, columns, false);
-    Apart off = apart_where_inside(newer, to_newer[pixel], x, y, boxes, rows, columns);
-    off.top *= NEWER_SHARE;
-    off.bottom *= NEWER_SHARE;
+    Apart off = apart_where_inside(newer, to_newer[pixel], x, y, boxes, rows, columns, NEWER_SHARE);
     if (count > 1) {
-        const Apart more = apart_where_inside(older, to_older[pixel], x, y, boxes, rows, columns);
-        off.top += more.top * OLDER_SHARE;
-        off.bottom += more.bottom * OLDER_SHARE;
+        const Apart more = apart_where_inside(older, to_older[pixel], x, y, boxes, rows, columns, OLDER_SHARE);
+        off.top += more.top;
+        off.bottom += more.bottom;
     }
     global float *restrict out = shown + (y * columns + x) * 3;
     write_two(out, boxes.top.here + off.top);

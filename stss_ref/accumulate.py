@@ -6,17 +6,17 @@ from __future__ import annotations
 import numpy as np
 
 from stss_ref.arrays import Array, ArrayError, Image, require
-from stss_ref.constants import EARLIER_SHARES
+from stss_ref.constants import EARLIER_SHARES, SLOW
 from stss_ref.warp import warp
 
 
 def accumulate(image: Image, earlier: Array, motions: Array) -> Image:
     """Mix an image with those of the one or two display frames before it.
 
-    ``shown(p) = image(p) + 1/4 (c_1(p) - image(p)) + 1/8 (c_2(p) - image(p))``. ``c_k(p)`` is ``clamp(warp(earlier_k)(p), box(p))`` where
-    the motion to that frame leads into it, else ``image(p)``, and so without a second one. ``box(p)``: the smallest and the largest value
-    of each channel of ``image`` in the 3 x 3 pixels around ``p`` that lie in the frame. A display pixel has twice the motion of the pixel
-    that it lies in.
+    ``shown(p) = image(p) + w_1(p)/4 (c_1(p) - image(p)) + w_2(p)/8 (c_2(p) - image(p))``. ``c_k(p)`` is ``clamp(warp(earlier_k)(p),
+    box(p))`` where the motion ``m_k`` to that frame leads into it, else ``image(p)``, and so without a second one. ``w_k = min(1, 16 /
+    |m_k|^2)``: what moves by more than 4 pixels is mixed less. ``box(p)``: the smallest and the largest value of each channel of ``image``
+    in the 3 x 3 pixels around ``p`` that lie in the frame. A display pixel lies in a pixel, and has twice its motion and the same ``w``.
 
     Source: Karis, High Quality Temporal Supersampling, SIGGRAPH 2014; ours: decision 45.
 
@@ -47,9 +47,19 @@ def accumulate(image: Image, earlier: Array, motions: Array) -> Image:
 
 
 def _apart(image: Image, earlier: Image, motion: Image, low: Image, high: Image) -> Image:
-    """``c_k - image``; 0 where the motion does not lead into the frame."""
-    history, inside = warp(earlier, (2 * motion).repeat(2, axis=0).repeat(2, axis=1))
-    return np.where(inside[..., None], np.clip(history, low, high) - image, 0)
+    """``w_k (c_k - image)``; 0 where the motion does not lead into the frame."""
+    history, inside = warp(earlier, _to_display(2 * motion))
+    return np.where(inside[..., None], (np.clip(history, low, high) - image) * _to_display(slowness(motion)), 0)
+
+
+def _to_display(plane: Image) -> Image:
+    return plane.repeat(2, axis=0).repeat(2, axis=1)
+
+
+def slowness(motion: Image) -> Image:
+    """``min(1, 16 / |m|^2)``, (H, W, 1), of motion (H, W, 2) in pixels; NaN where it is."""
+    with np.errstate(over="ignore"):  # of a motion that leads far out of the frame
+        return SLOW**2 / np.maximum(np.square(motion).sum(axis=-1, keepdims=True), SLOW**2)
 
 
 def box(image: Image) -> tuple[Image, Image]:

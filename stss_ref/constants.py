@@ -17,6 +17,8 @@ HOLE_FILLS: tuple[HoleFill, ...] = get_args(HoleFill)
 
 EARLIER_SHARES = (0.25, 0.125)
 """The shares that stage ``accumulate`` takes of earlier images, newest first (decision 45)."""
+SLOW = 4.0
+"""Longest motion, in pixels, over which an earlier image has its whole share there."""
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from conformance.answers.expected import Expected
 from conformance.answers.port_arithmetic import Arithmetic, reach
 from conformance.answers.warp import interpolate, within_frame
 from conformance.tolerance import BOUNDS
-from stss_ref.accumulate import box
+from stss_ref.accumulate import box, slowness
 from stss_ref.constants import EARLIER_SHARES
 
 Plane = NDArray[Any]
@@ -60,5 +60,7 @@ def _part(
     clamped = np.clip(history, low, high)
     # What the box cuts off is no error.
     wrong = np.maximum(clamped - np.clip(history - wrong, low, high), np.clip(history + wrong, low, high) - clamped)
-    share = EARLIER_SHARES[k]
-    return (clamped - inputs["image"]) * share, inside, np.where(inside | unsure, wrong * share, 0), unsure
+    share = EARLIER_SHARES[k] * slowness(motion).repeat(2, axis=0).repeat(2, axis=1)
+    apart = clamped - inputs["image"]
+    wrong = (wrong + BOUNDS["slowness"].roundings * arithmetic.unit * np.abs(apart)) * share
+    return apart * share, inside, np.where(inside | unsure, wrong, 0), unsure

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from conformance.cases.large_inputs import frame_case
 from conformance.cases.stage_inputs import Inputs, make_weights
-from stss_ref.constants import EARLIER_SHARES, HoleLimits
+from stss_ref.constants import EARLIER_SHARES, SLOW, HoleLimits
 from stss_ref.holes import LEAST_LENGTH
 from stss_ref.reshade import COSINE, FOOTPRINTS, REACH, STATIC_COSINE, STEPS
 from stss_ref.weights import Weights
@@ -257,6 +257,17 @@ def _mix(_: Generator) -> Inputs:
     return {"image": image, "earlier": np.stack([1 - image, older]), "motions": np.zeros((2, 2, 2, 2))}
 
 
+def _slow(_: Generator) -> Inputs:
+    """Black and white pixels in turn, the opposite before; motion of 3 to 8 pixels in each direction, whole or in halves."""
+    lengths = np.array([3, 3.5, 4, 4.5, 5, 6, 8])
+    image = np.repeat(np.indices((28, 36)).sum(axis=0)[..., None] % 2, 3, axis=-1).astype(np.float64)
+    across = lengths.repeat(2)[:, None] * np.where(np.arange(18) < 9, 1, -1)
+    diagonal = np.stack([np.floor(across / 1.25), np.zeros((14, 18))], axis=-1)
+    diagonal[..., 1] = np.where(np.arange(14) < 7, 3, -3)[:, None]
+    straight = np.stack([across, np.zeros((14, 18))], axis=-1)
+    return {"image": image, "earlier": np.stack([1 - image] * 2), "motions": np.stack([diagonal, straight])}
+
+
 CONSTANTS = (
     Constant("distance in footprints", "1.5", "holes", _footprint),
     Constant("distance head-on", "7.5", "holes", _far(1, 0)),
@@ -285,6 +296,7 @@ CONSTANTS = (
     Constant("least colour", "0", "frame", _dark),
     Constant("share of the newer image", str(EARLIER_SHARES[0]), "accumulate", _mix),
     Constant("share of the older image", str(EARLIER_SHARES[1]), "accumulate", _mix),
+    Constant("longest motion of a whole share", f"{SLOW:g}", "accumulate", _slow),
 )
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from conformance.answers.expected import largest
 from conformance.judging.findings import Finding
 from conformance.protocol.stages import hole_test, reference
-from stss_ref.accumulate import box
+from stss_ref.accumulate import box, slowness
 from stss_ref.constants import EARLIER_SHARES, HoleLimits
 from stss_ref.holes import squared_footprint
 from stss_ref.motion_chain import chain_steps, gather_longest, truncated
@@ -240,7 +240,8 @@ def _accumulate(inputs: Inputs, y: int, x: int) -> list[Term]:
             ("leads to", _leads_to(at, y, x)),
             ("inside, else the image", _format(leads_inside(at)[y, x].astype(int))),
             *_read(earlier, at, y, x),
-            (f"clamped into the box, {share:g} of it", _format(np.clip(history, low, high)[y, x])),
+            ("clamped into the box", _format(np.clip(history, low, high)[y, x])),
+            (f"its share, {share:g} or less by motion", _format(share * slowness(motion)[y // 2, x // 2])),
         ]
         terms += [(f"{back} back: {name}", value) for name, value in more]
     return terms

@@ -12,8 +12,8 @@ import numpy as np
 
 from conformance.mistakes.image import READS
 from conformance.protocol.reference_copy import Copy, Mistake, change_arguments, fault, half, put, returns, wrap
-from stss_ref.accumulate import box
-from stss_ref.constants import EARLIER_SHARES
+from stss_ref.accumulate import box, slowness
+from stss_ref.constants import EARLIER_SHARES, SLOW
 from stss_ref.resample import upsample_centres
 from stss_ref.warp import warp
 
@@ -96,42 +96,57 @@ def _box_of_before(copy: Copy) -> None:
 
 
 def _moved(image: Any, earlier: Any, motions: Any) -> list[tuple[Any, Any]]:
-    """Each earlier image, moved, the image itself where motion leads out of the frame; and where it does not."""
-    pairs = [warp(a, (2 * m).repeat(2, axis=0).repeat(2, axis=1)) for a, m in zip(earlier, motions, strict=True)]
-    return [(np.where(inside[..., None], moved, image), inside[..., None]) for moved, inside in pairs]
+    """Each earlier image, moved, the image itself where motion leads out of the frame; and how much of its share it has."""
+    pairs = [warp(a, _to_display(2 * m)) for a, m in zip(earlier, motions, strict=True)]
+    slow = [_to_display(slowness(motion)) for motion in motions]
+    return [
+        (np.where(inside[..., None], moved, image), np.where(inside[..., None], w, 0))
+        for (moved, inside), w in zip(pairs, slow, strict=True)
+    ]
+
+
+def _to_display(plane: Any) -> Any:
+    return plane.repeat(2, axis=0).repeat(2, axis=1)
 
 
 def _image_clamped(image: Any, earlier: Any, motions: Any) -> Any:
     moved = zip(_moved(image, earlier, motions), EARLIER_SHARES, strict=False)
-    return image + sum((a - np.clip(image, *box(a))) * inside * share for (a, inside), share in moved)
+    return image + sum((a - np.clip(image, *box(a))) * weight * share for (a, weight), share in moved)
 
 
 def _mean_clamped(image: Any, earlier: Any, motions: Any) -> Any:
-    shares = EARLIER_SHARES[: len(earlier)]
-    mean = sum(a * share for (a, _), share in zip(_moved(image, earlier, motions), shares, strict=True)) / sum(shares)
-    return image + (np.clip(mean, *box(image)) - image) * sum(shares)
+    parts = [(a, w * share) for (a, w), share in zip(_moved(image, earlier, motions), EARLIER_SHARES, strict=False)]
+    total = sum(share for _, share in parts)
+    mean = image + sum((a - image) * share for a, share in parts) / np.maximum(total, np.finfo(image.dtype).tiny)
+    return image + (np.clip(mean, *box(image)) - image) * total
 
 
 def _both_or_none(right: Change, image: Any, earlier: Any, motions: Any) -> Any:
-    inside = np.logical_and.reduce([inside for _, inside in _moved(image, earlier, motions)])
+    inside = np.logical_and.reduce([weight > 0 for _, weight in _moved(image, earlier, motions)])
     return np.where(inside, right(image, earlier, motions), image)
 
 
 def _other_instead(right: Change, image: Any, earlier: Any, motions: Any) -> Any:
     """Where one motion leads out of the frame, or there is one image, it has the shares of both."""
-    there = [inside for _, inside in _moved(image, earlier, motions)]
+    there = [weight > 0 for _, weight in _moved(image, earlier, motions)]
     shares = sum(inside * share for inside, share in zip(there, EARLIER_SHARES, strict=False))
     more = np.where(shares > 0, sum(EARLIER_SHARES) / np.maximum(shares, EARLIER_SHARES[-1]), 1)
     return image + (right(image, earlier, motions) - image) * more.astype(image.dtype)
 
 
+def _by_newer_slowness(image: Any, earlier: Any, motions: Any) -> Any:
+    moved = _moved(image, earlier, motions)
+    slow = _to_display(slowness(motions[0]))
+    low, high = box(image)
+    parts = zip(moved, EARLIER_SHARES, strict=False)
+    return image + sum(np.where(weight > 0, np.clip(a, low, high) - image, 0) * slow * share for (a, weight), share in parts)
+
+
 def _products(image: Any, earlier: Any, motions: Any) -> Any:
     """The sum of products, in place of a sum of differences."""
-    shares = EARLIER_SHARES[: len(earlier)]
-    shown = image * (1 - sum(shares))
-    for (a, _), share in zip(_moved(image, earlier, motions), shares, strict=True):
-        shown = shown + np.clip(a, *box(image)) * share
-    return shown
+    parts = [(a, w * share) for (a, w), share in zip(_moved(image, earlier, motions), EARLIER_SHARES, strict=False)]
+    low, high = box(image)
+    return image * (1 - sum(share for _, share in parts)) + sum(np.clip(a, low, high) * share for a, share in parts)
 
 
 def _one_by_one(right: Change, image: Any, earlier: Any, motions: Any) -> Any:
@@ -185,6 +200,20 @@ ACCUMULATE = (
             ("not_mixed", "the image as it is", (0.0, 0.0)),
         )
     ),
+    *(
+        _accumulate(f"slowness_{name}", what, put("accumulate.slowness", change))
+        for name, what, change in (
+            ("left_out", "a share whatever the motion", lambda motion: np.ones_like(motion[..., :1])),
+            ("by_length", "a share by the length of the motion, not by its square", lambda motion: np.sqrt(slowness(motion))),
+            ("on_the_display", "a share by twice the motion", lambda motion: slowness(2 * motion)),
+            ("from_0_on", "16 / (16 + length^2)", lambda motion: SLOW**2 / (SLOW**2 + np.square(motion).sum(-1, keepdims=True))),
+            ("across", "a share by the motion across", lambda motion: slowness(motion[..., :1])),
+            ("down", "a share by the motion down", lambda motion: slowness(motion[..., 1:])),
+            ("by_sum", "a share by |dx| + |dy|", lambda motion: slowness(np.abs(motion).sum(-1, keepdims=True))),
+            ("nothing_beyond", "no share of what moves by more than 4 pixels", lambda motion: slowness(motion) >= 1),
+        )
+    ),
+    _accumulate("slowness_of_newest", "both shares by the newer motion", put("accumulate.accumulate", _by_newer_slowness)),
     _accumulate(
         "edge_of_the_frame", "off screen the nearest pixel of the frame",
         returns("accumulate.warp", lambda result: (result[0], np.ones_like(result[1]))),

@@ -18,9 +18,11 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let p = vec2<i32>(id.xy);
     if (p.x >= frame.width || p.y >= frame.height) { return; }
 
-    let share = select(0.25, 0.125, frame.choice != 0);  // of the newer, of the older
     let index = p.y * frame.width + p.x;
-    let taps = follow(p, 2.0 * motion[(p.y / 2) * (frame.width / 2) + p.x / 2], frame);
+    let moved = motion[(p.y / 2) * (frame.width / 2) + p.x / 2];
+    let taps = follow(p, 2.0 * moved, frame);
+    // Of the newer, of the older; less of what moves by more than 4 pixels.
+    let share = select(0.25, 0.125, frame.choice != 0) * 16.0 / max(16.0, dot(moved, moved));
     let first = max(p - 1, vec2<i32>(0));
     let last = min(p + 1, vec2<i32>(frame.width, frame.height) - 1);
     for (var c = 0; c < frame.channels; c++) {
@@ -37,7 +39,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         let there = clamp(between(
             earlier_at(taps.x0, taps.y0, c), earlier_at(taps.x1, taps.y0, c),
             earlier_at(taps.x0, taps.y1, c), earlier_at(taps.x1, taps.y1, c), taps), low, high);
-        let sum = total[index * frame.channels + c] + select(0.0, there - here, taps.inside) * share;
+        let sum = total[index * frame.channels + c] + select(0.0, (there - here) * share, taps.inside);
         total[index * frame.channels + c] = sum;
         shown[index * frame.channels + c] = here + sum;
     }

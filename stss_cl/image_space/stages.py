@@ -20,7 +20,7 @@ from stss_cl.device.grid import grid
 from stss_cl.device.launch import Kernel
 from stss_cl.device.program import Program, program_for
 from stss_ref.arrays import ArrayError, require_dtype, require_finite, require_shape
-from stss_ref.constants import EARLIER_SHARES, HoleLimits, HoleTest
+from stss_ref.constants import EARLIER_SHARES, SLOW, HoleLimits, HoleTest
 
 Inputs = Mapping[str, NDArray[Any]]
 Outputs = dict[str, NDArray[Any]]
@@ -38,11 +38,9 @@ def program(device: Device, file: str, options: Mapping[str, object] | None = No
 
 def accumulate_program(device: Device) -> Program:
     """The program of stage ``accumulate``."""
-    return program(
-        device,
-        "accumulate.cl",
-        {name: f"{share}f" for name, share in zip(("NEWER_SHARE", "OLDER_SHARE"), EARLIER_SHARES, strict=True)},
-    )
+    newer, older = EARLIER_SHARES
+    options = {"NEWER_SHARE": newer, "OLDER_SHARE": older, "SLOW": SLOW}
+    return program(device, "accumulate.cl", {name: f"{value}f" for name, value in options.items()})
 
 
 class ImageStages:

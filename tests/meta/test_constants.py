@@ -86,6 +86,7 @@ PLANTS = {
     "window": [put("erm.WINDOW", x) for x in (3, 7)],
     "share of the newer image": [put("accumulate.EARLIER_SHARES", (x, 0.125)) for x in (0.24, 0.26, 0.375)],
     "share of the older image": [put("accumulate.EARLIER_SHARES", (0.25, x)) for x in (0.12, 0.13, 0.25)],
+    "longest motion of a whole share": [put("accumulate.SLOW", x) for x in (2.0, 3.9, 4.1, 5.0, 8.0, 1e9)],
     "least colour": [find(f"frame_{name}").plants[0] for name in ("negative_color", "negative_history", "absolute_history")],
 }
 

@@ -62,9 +62,10 @@ def test_accumulate():
     assert lines["1 back: leads to"] == "column 0 + 0.5, row 0 + 0.5"
     assert lines["1 back: inside, else the image"] == "1"
     assert lines["1 back: read between them"] == "(7, 7, 7)"
-    assert lines["1 back: clamped into the box, 0.25 of it"] == "(7, 7, 7)"
+    assert lines["1 back: clamped into the box"] == "(7, 7, 7)"
+    assert lines["1 back: its share, 0.25 or less by motion"] == "(0.25)"
     assert lines["2 back: inside, else the image"] == "0"
-    assert lines["2 back: clamped into the box, 0.125 of it"] == "(5, 5, 5)"
+    assert lines["2 back: clamped into the box"] == "(5, 5, 5)"
     assert lines["the test expects"] == "(3.25, 3.25, 3.25)"
 
 

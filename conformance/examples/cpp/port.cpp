@@ -401,6 +401,7 @@ static Mask rrm(Mask valid, const std::vector<int32_t> &rectangle) {
 // ---- Stage accumulate ----
 
 constexpr float EARLIER_SHARES[] = {0.25f, 0.125f};
+constexpr float SLOW = 4.0f;  // pixels: beyond, an image keeps less of its share
 
 // An image mixed with those of the one or two display frames before it. `motions` lead there from the low-resolution pixels, half as
 // many along each side.
@@ -420,8 +421,9 @@ static Image accumulate(const Image &image, const std::vector<Image> &earlier, c
             const Place to = follow(moved, y, x, image.height, image.width);
             if (!leads_inside(to, image)) continue;
             const Taps at = taps(to, image.height, image.width);
+            const float share = EARLIER_SHARES[k] * SLOW * SLOW / std::max(m[0] * m[0] + m[1] * m[1], SLOW * SLOW);
             for (int c = 0; c < image.channels; ++c)
-                total[c] += (std::clamp(bilinear(earlier[k], at, c), low[c], high[c]) - image.at(y, x)[c]) * EARLIER_SHARES[k];
+                total[c] += (std::clamp(bilinear(earlier[k], at, c), low[c], high[c]) - image.at(y, x)[c]) * share;
         }
         for (int c = 0; c < image.channels; ++c) shown.at(y, x)[c] += total[c];
     });
