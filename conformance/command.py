@@ -11,11 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import click
-from click.core import ParameterSource
 
 from conformance import OLDEST_HYPOTHESIS
 from stss_ground.arguments import suggest
-from stss_ground.commands import Subcommand
+from stss_ground.commands import Subcommand, refuse_options
 from stss_ground.errors import InputError
 from stss_ground.exit_status import run_guarded
 from stss_ground.freed_memory import keep_freed_memory
@@ -143,10 +142,10 @@ def conform(
         faulthandler.enable(2)  # native code of a Python port may end this process: its line is then printed
     choice = PortChoice(spec, program, dtype, winograd, weights_version, timeout)
     if onnx is not None:
-        _require_options("with --onnx", OF_STAGES)
+        refuse_options("with --onnx", OF_STAGES)
         cases = ModelCases(shapes, files, replay, tier, seed)
         sys.exit(_judge_model(onnx, choice, cases, failures, (json_file, junit, report)))
-    _require_options("without --onnx", OF_MODELS)
+    refuse_options("without --onnx", OF_MODELS)
     from conformance.judging.judge import TIERS, Judge
     from conformance.judging.known_failures import KnownFailuresError, read_known
     from conformance.protocol.load_port import loaded_files
@@ -279,15 +278,6 @@ def _judge_model(
             echo(f"{command} --replay {join_words([str(folder)])}")
     write_files(outcome, model, port, options, folder, *reports)
     return 0 if outcome.passes else 1
-
-
-def _require_options(when: str, names: tuple[str, ...]) -> None:
-    """Raise InputError if one of these options was given, since it would have no effect."""
-    context = click.get_current_context()
-    for name in names:
-        if context.get_parameter_source(name) is ParameterSource.COMMANDLINE:
-            option = next(each.opts[-1] for each in context.command.params if each.name == name)
-            raise InputError(f"{option}: not {when}")
 
 
 def _require_stages(stages_of: dict[str, tuple[str, ...] | None]) -> None:

@@ -3,15 +3,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from importlib import import_module
 from pathlib import Path
 from typing import Any, TypeVar
 
 import click
+from click.core import ParameterSource
 
 from stss_ground.arguments import suggest
-from stss_ground.errors import PipeClosedError
+from stss_ground.errors import InputError, PipeClosedError
 from stss_ground.option_kinds import ReadName, ReadPath, WrittenFile, WrittenFolder
 from stss_ground.optional import require_own_conformance
 from stss_ground.output.places import require_places
@@ -101,6 +102,22 @@ def group_options(heading: str, *options: Callable[[Any], Any]) -> Callable[[Com
         return command
 
     return add
+
+
+def refuse_options(when: str, names: Collection[str]) -> None:
+    """Refuse options of the command that runs which would have no effect.
+
+    Args:
+        when: the case, for the error, such as "with --onnx".
+        names: of the parameters.
+
+    Raises:
+        InputError: the user has set one of them.
+    """
+    context = click.get_current_context()
+    for parameter in context.command.params:
+        if parameter.name in names and context.get_parameter_source(str(parameter.name)) is ParameterSource.COMMANDLINE:
+            raise InputError(f"{parameter.opts[-1]}: not {when}")
 
 
 class Subcommand(click.Command):

@@ -12,7 +12,7 @@ import click
 from stss.cli.options import MAX_COUNT
 from stss.images.headers import MAX_SIDE
 from stss.weights.file import identity, load
-from stss_ground.commands import Subcommand
+from stss_ground.commands import Subcommand, refuse_options
 from stss_ground.errors import InputError
 from stss_ground.option_kinds import Names, ReadName, Size, WrittenFile, WrittenFolder
 from stss_ground.output.write_whole import write_named
@@ -95,6 +95,12 @@ def bench_command(
     setups = [Setup(tensors, *size, device=device, threads=threads, dark=dark) for size in sizes]
     if launches and pareto:
         raise InputError("--launches and --pareto: expected one of them")
+    if not pareto:
+        refuse_options("without --pareto", ("scenes", "settings", "frames"))
+    if launches or pareto:
+        refuse_options(
+            f"with {'--pareto' if pareto else '--launches'}", ("ours", "repeat", "peers", "dark") if pareto else ("peers",)
+        )
     if launches:
         from stss_lab.bench import launches as bench_launches
 

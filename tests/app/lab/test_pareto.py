@@ -29,6 +29,23 @@ def test_mistakes():
         assert message in str(ran.exception) + ran.output
 
 
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--frames", "20"], "--frames: not without --pareto"),
+        (["--launches", "--scenes", "pan"], "--scenes: not without --pareto"),
+        (["--launches", "--peers", "openvino"], "--peers: not with --launches"),
+        (["--pareto", "--ours", "ref"], "--ours: not with --pareto"),
+        (["--pareto", "--dark"], "--dark: not with --pareto"),
+    ],
+)
+def test_an_option_that_would_have_no_effect_is_refused(words, message):
+    """Even with its default."""
+    ran = CliRunner().invoke(stss, ["bench", "--size", "16x8", *words])
+    assert isinstance(ran.exception, InputError)
+    assert str(ran.exception) == message
+
+
 @pytest.mark.thorough
 def test_exact_has_the_bits_and_half_departs(device, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
