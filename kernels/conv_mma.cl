@@ -40,12 +40,12 @@
 #define PITCH (34 * STRIDE)
 #define PLANE (PITCH * READ_TALL + 2)  // places of 16 bytes
 #define COLUMN(x) (STRIDE == 2 ? (x) % 2 * 34 + (x) / 2 : (x))
-#define PIXELS (32 * 4 * ROWS)
-#define RESULT_PLANE (PIXELS + (7 + EIGHTS) / EIGHTS)  // so what neighbours store lies in different banks
+#define TILE_PIXELS (32 * 4 * ROWS)
+#define RESULT_PLANE (TILE_PIXELS + (7 + EIGHTS) / EIGHTS)  // so what neighbours store lies in different banks
 #define MOST(a, b) ((a) > (b) ? (a) : (b))
 // Loads of a work-item, and those before it stores the first of them: all, or equal parts.
 #define LOADS ((EIGHTS_AT_ONCE * READ_WIDE * READ_TALL + ITEMS - 1) / ITEMS)
-#define AT_ONCE ((LOADS + (LOADS + 7) / 8 - 1) / ((LOADS + 7) / 8))
+#define LOADS_AT_ONCE ((LOADS + (LOADS + 7) / 8 - 1) / ((LOADS + 7) / 8))
 // Offset of step j's place from the first tap's, in places.
 #define TAP_AT(j) ((j) % EIGHTS_AT_ONCE * PLANE + (j) / EIGHTS_AT_ONCE / 3 * PITCH + COLUMN((j) / EIGHTS_AT_ONCE % 3))
 
@@ -54,10 +54,10 @@ static inline void fetch_eights(global const ushort *a, global const ushort *b, 
                                 const int first, const int top, const int left, const int in_rows, const int in_columns)
 {
     const int count = EIGHTS_AT_ONCE * READ_WIDE * READ_TALL;
-    for (int begin = item; begin < count; begin += AT_ONCE * ITEMS) {
-        uint4 held[AT_ONCE];
+    for (int begin = item; begin < count; begin += LOADS_AT_ONCE * ITEMS) {
+        uint4 held[LOADS_AT_ONCE];
         UNROLL
-        for (int k = 0; k < AT_ONCE; ++k) {
+        for (int k = 0; k < LOADS_AT_ONCE; ++k) {
             const int i = least(begin + k * ITEMS, count - 1), eight = first + i % EIGHTS_AT_ONCE;
             const int x = i / EIGHTS_AT_ONCE % READ_WIDE, y = i / EIGHTS_AT_ONCE / READ_WIDE;
             const int place = least(top + y, in_rows - 1) * in_columns + least(left + x, in_columns - 1);
@@ -69,7 +69,7 @@ static inline void fetch_eights(global const ushort *a, global const ushort *b, 
 #endif
         }
         UNROLL
-        for (int k = 0; k < AT_ONCE; ++k) {
+        for (int k = 0; k < LOADS_AT_ONCE; ++k) {
             const int i = begin + k * ITEMS;
             const int x = i / EIGHTS_AT_ONCE % READ_WIDE, y = i / EIGHTS_AT_ONCE / READ_WIDE;
             if (i < count) tile[i % EIGHTS_AT_ONCE * PLANE + y * PITCH + COLUMN(x)] = held[k];
@@ -172,7 +172,7 @@ kernel __attribute__((reqd_work_group_size(LANES, WAVES, 1))) void conv_mma(
             }
         }
         barrier(CLK_LOCAL_MEM_FENCE);
-        for (int i = item; i < EIGHTS * PIXELS; i += ITEMS) {
+        for (int i = item; i < EIGHTS * TILE_PIXELS; i += ITEMS) {
             const int n = i % EIGHTS, pixel = i / EIGHTS, x = left + pixel % 32, y = top + pixel / 32;
             if (x >= layer.width || y >= layer.height) continue;
             BEGIN_PIXEL;

@@ -18,7 +18,7 @@ from stss_cl.device.program import program_for
 
 SIDE = 4
 """Side of most tiles; pixels. Kernels and change maps count in it: it is no choice of tuning."""
-PIXELS = 256
+SPAN_PIXELS = 256
 """Pixels. On a CPU tiles that step over them share a work-item: most have nothing to do, and each work-item costs something."""
 
 
@@ -90,7 +90,7 @@ def whole(device: Device, rows: int, columns: int, first: int = 0) -> TileList:
 
 def find_tiles(device: Device, tiling: Tiling, maps: Maps, to: TileList) -> Launch:
     """The launch that lists the tiles that marks reach; ``to.count`` must be 0 before."""
-    span = min(PIXELS // tiling.step[1], 64) if device.is_cpu else 1
+    span = min(SPAN_PIXELS // tiling.step[1], 64) if device.is_cpu else 1
     a, b, c = (*maps.buffers, *2 * maps.buffers[-1:])[:3]
     arguments = {
         "a": a, "b": b, "c": c, "a_first": maps.first, "map_rows": maps.rows, "map_columns": maps.columns,
@@ -101,5 +101,5 @@ def find_tiles(device: Device, tiling: Tiling, maps: Maps, to: TileList) -> Laun
     size, group = grid(device, ceil_div(tiling.columns, span), tiling.lines)
     if device.is_cpu:
         size, group = (ceil_div(tiling.columns, span), tiling.lines), (1, 1)
-    program = program_for(device, "tile_list.cl", {"SPAN_PIXELS": PIXELS} if device.is_cpu else {})
+    program = program_for(device, "tile_list.cl", {"SPAN_PIXELS": SPAN_PIXELS} if device.is_cpu else {})
     return Launch("tile_list", Kernel(program, "tile_list", arguments), arguments, size, group)
