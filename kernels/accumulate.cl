@@ -9,8 +9,8 @@
 //  to_older  in   (H, W, 2)    px, current -> older; not read if count is 1
 //  shown     out  (2H, 2W, 3)  the shares of the earlier images where motion leads into them, else of image
 //
-// Build -D NEWER_SHARE -D OLDER_SHARE -D SLOW.  Launch (W, H) rounded up: a work-item makes the 2 x 2 display pixels of a pixel,
-// which share its motion.
+// Build -D NEWER_SHARE -D OLDER_SHARE -D SLOW (px).  Launch (W, H) rounded up: a work-item makes the 2 x 2 display
+// pixels of a pixel, which share its motion.
 #if !defined NEWER_SHARE || !defined OLDER_SHARE || !defined SLOW
 #error "accumulate.cl needs -D NEWER_SHARE -D OLDER_SHARE -D SLOW"
 #endif

@@ -35,7 +35,8 @@
 //  -D RESHADE       stage reshade fills the holes
 //
 // Order: chain_steps, prepare_newest, prepare_older for each older frame where the history is read, splat_nearest and
-// splat_first (with -D RESHADE find_samples), fill_holes; then downsample_8.cl. A new plane: README.md, Change a kernel.
+// splat_first (with -D RESHADE find_samples), fill_holes; then downsample_8.cl. A new plane: README.md, Change a
+// kernel.
 // Launch (W, H); prepare_* and fill_holes (C, R); with EIGHT_PIXELS an eighth of the columns.
 #ifdef EIGHT_PIXELS
 #define AT_ONCE 8

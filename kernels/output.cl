@@ -89,8 +89,8 @@ INLINE float8 clip(const float8 e)
     return most < 0.0f ? (float8)(0.0f) : most;
 }
 
-// The inverse of the sRGB curve, ((e + 0.055) / 1.055)^2.4 = 1.055^-2.4 s^2 s^0.4. The root q = (s^2)^(1/5) begins within
-// 4 %, since an exponent is a logarithm; each step of Halley's method takes twice the third power of the error.
+// The inverse of the sRGB curve, ((e + 0.055) / 1.055)^2.4 = 1.055^-2.4 s^2 s^0.4. The root q = (s^2)^(1/5) begins
+// within 4 %, since an exponent is a logarithm; each step of Halley's method takes twice the third power of the error.
 // The relative error is at most 10 x 2^-24: s brings 2.4 x 1.6, q 2, and the constant and three products 1 each.
 INLINE float8 linear_of(const float8 e)
 {
