@@ -7,6 +7,7 @@ the inputs at which ports go wrong.
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -17,13 +18,17 @@ Float64 = NDArray[np.float64]
 Size = tuple[int, int]
 
 SEEDS = st.integers(0, 2**32 - 1)
+made_once = lru_cache(4096)
+"""Keeps the strategy for each size: Hypothesis takes longer to make and to check one than to draw from it."""
 
 
+@made_once
 def sizes(largest: int = 20) -> st.SearchStrategy[Size]:
     """(H, W) from 1 x 1 up, with frames of one row or column, and with every remainder modulo 8."""
     return st.tuples(st.integers(1, largest), st.integers(1, largest))
 
 
+@made_once
 @st.composite
 def frames(draw: st.DrawFn, size: Size, channels: int, kind: Literal["any", "flat"] = "any") -> Float64:
     """(H, W, channels) of numbers that float32 has exactly: noise, a flat frame, a ramp, or mostly 0."""
@@ -41,6 +46,7 @@ def frames(draw: st.DrawFn, size: Size, channels: int, kind: Literal["any", "fla
     return values.astype(np.float32).astype(np.float64)
 
 
+@made_once
 @st.composite
 def colors(draw: st.DrawFn, size: Size, channels: int, kind: str = "any") -> Float64:
     """(H, W, channels) colours: in [0, 1], flat, or as HDR and broken renderers give: 0, denormal, negative, 65504 and beyond."""
@@ -68,6 +74,7 @@ def colors(draw: st.DrawFn, size: Size, channels: int, kind: str = "any") -> Flo
     return values.astype(np.float32).astype(np.float64)
 
 
+@made_once
 @st.composite
 def motions(draw: st.DrawFn, size: Size, *, broken: bool = False) -> Float64:
     """(H, W, 2) motion that float32 has exactly: still, whole pixels or nearly, halves, short, as long as the frame, or far outside.
@@ -105,6 +112,7 @@ def motions(draw: st.DrawFn, size: Size, *, broken: bool = False) -> Float64:
     return motion.astype(np.float32).astype(np.float64)
 
 
+@made_once
 @st.composite
 def dyadic_motions(draw: st.DrawFn, size: Size, kind: str) -> Float64:
     """(H, W, 2) of ``still``, ``whole``, ``half`` or ``short`` (quarters) motion, whose sums with places are exact in all arithmetics."""
@@ -119,6 +127,7 @@ def dyadic_motions(draw: st.DrawFn, size: Size, kind: str) -> Float64:
     return random.integers(-6, 7, (*size, 2)) / 4
 
 
+@made_once
 @st.composite
 def masks(draw: st.DrawFn, size: Size) -> NDArray[np.bool_]:
     """(H, W) mask: all 1, all 0, a single 1, a single 0, or random."""
