@@ -207,6 +207,17 @@ def test_a_convolution_of_any_odd_size():
         conv(np.zeros((4, 5, 2)), weight, np.array([3.0]))
 
 
+@pytest.mark.parametrize("stride", [1, 2])
+@pytest.mark.parametrize("at_once", [1, 3])
+def test_a_convolution_of_a_few_rows_at_a_time_has_the_same_bits(stride, at_once, monkeypatch):
+    """Of 13 rows, or 7 at stride 2, the last are fewer."""
+    random = np.random.default_rng(0)
+    x, weight, bias = random.random((13, 8, 3)), random.normal(size=(2, 3, 3, 3)), random.random(2)
+    whole = conv(x, weight, bias, stride)
+    monkeypatch.setattr("stss_ref.conv.IN_CACHE", at_once * whole[0].size)
+    np.testing.assert_array_equal(conv(x, weight, bias, stride), whole)
+
+
 def test_sigmoid_has_no_overflow_and_two_accurate_tails():
     x = np.array([-1000.0, -50.0, 0.0, 50.0, 1000.0])
     with np.errstate(all="raise", under="ignore"):
