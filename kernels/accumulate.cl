@@ -118,7 +118,7 @@ INLINE int8 are_inside(const Place at, const int rows, const int columns)
     return (int8)(a, a, a, b, b, b, 0, 0);
 }
 
-// How much of its share an earlier image keeps; 1 or NaN where motion is NaN.
+// How much of its share an earlier image keeps. Where motion is NaN it leads out of the frame, and nothing reads this.
 INLINE float slowness(const float2 motion)
 {
     return SLOW * SLOW / fmax(dot(motion, motion), SLOW * SLOW);
@@ -133,8 +133,9 @@ INLINE Apart apart_where_inside(global const float *earlier, const float2 motion
     below.y += 1;
     Apart off =
         inner ? apart(earlier, at, boxes, rows, columns, true) : apart(earlier, at, boxes, rows, columns, false);
-    off.top *= share * slowness(motion);
-    off.bottom *= share * slowness(motion);
+    const float weight = share * slowness(motion);
+    off.top *= weight;
+    off.bottom *= weight;
     if (inner) return off;
     off.top = are_inside(at, rows, columns) ? off.top : (Two)(0.0f);
     off.bottom = are_inside(below, rows, columns) ? off.bottom : (Two)(0.0f);

@@ -9,7 +9,7 @@ from conformance.cases.planes import SEEDS
 from conformance.judging.judge import Judge, Tier
 from conformance.suite.run_suite import run_suite
 from stss.port import ReferencePort
-from stss_ref.accumulate import accumulate
+from stss_ref.accumulate import accumulate, slowness
 from stss_ref.arrays import ArrayError
 from stss_ref.constants import HoleLimits
 from stss_ref.depth import normalise_depth
@@ -578,6 +578,14 @@ class TestAccumulate:
     def test_off_screen_is_the_image(self, motion):
         assert self.shown([0, 8, 0, 8], ([4, 4, 4, 4], motion)) == [0, 8, 0, 8]
         assert self.shown([0, 8, 0, 8], ([4, 4, 4, 4], motion), ([4, 4, 4, 4], 0)) == [0.5, 7.5, 0.5, 7.5]
+
+    def test_what_moves_by_more_than_4_pixels_is_mixed_less(self):
+        motion = np.array([[(0, 0), (4, 0), (0, -8), (3, 4), (-12, 16), (np.inf, 0), (1e200, 0)]])
+        np.testing.assert_allclose(slowness(motion)[0, :, 0], [1, 1, 1 / 4, 16 / 25, 1 / 25, 0, 0], rtol=2**-50)
+        image, motions = np.tile([0.0, 8.0], (2, 24))[..., None], np.zeros((2, 1, 24, 2))
+        motions[:, 0, 0, 0] = 8, 16
+        shown = accumulate(image, np.stack([8 - image] * 2), motions)[0, :4, 0]
+        assert shown.tolist() == [8 / 16 + 8 / 128, 8 - 8 / 16 - 8 / 128, 3, 5]
 
     def test_rows_are_read_as_columns_are(self):
         rng = np.random.default_rng(0)
