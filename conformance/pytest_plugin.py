@@ -17,6 +17,7 @@ from conformance import OLDEST_HYPOTHESIS
 from conformance.judging.findings import TestResult
 from conformance.judging.judge import TIERS, Judge
 from conformance.judging.known_failures import KnownFailuresError, read_known
+from conformance.options import PortChoice
 from conformance.protocol.load_port import ARITHMETICS, load_port
 from conformance.report.failures import keep_failure
 from conformance.suite.run_suite import JUDGED, SUITE, SuitePlugin, require_known
@@ -38,7 +39,9 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption("--dtype", choices=ARITHMETICS, help="the port's arithmetic")
     group.addoption("--winograd", action="store_true", help="the port computes convolutions by Winograd's method")
     group.addoption("--weights-version", type=int, help="the latest version of weights that the port knows")
-    group.addoption("--start-timeout", type=float, default=120, metavar="SECONDS", help="for one start of a program")
+    group.addoption(
+        "--start-timeout", type=float, default=PortChoice.timeout, metavar="SECONDS", help="for one start of a program"
+    )
     group.addoption(
         "--known-failures", type=Path, metavar="FILE", help="JSON file of tests that may fail, each with a last day and a reason"
     )
@@ -51,16 +54,16 @@ def pytest_configure(config: pytest.Config) -> None:
     options = config.option
     try:
         require("hypothesis", "conform", OLDEST_HYPOTHESIS)
-        port, abilities = load_port(
+        choice = PortChoice(
             options.port, options.exec, options.start_timeout, options.dtype, options.winograd, options.weights_version
         )
+        port, abilities = load_port(choice)
         failures = read_known(options.known_failures) if options.known_failures is not None else []
         require_known(failures)
     except (InputError, KnownFailuresError) as error:
         raise pytest.UsageError(str(error)) from error
     judge = Judge(port, TIERS[options.tier], options.seed, abilities=abilities)
-    words = ("--port", options.port) if options.port is not None else ("--exec", options.exec)
-    again = join_words(["stss", "conform", *words])
+    again = choice.command()
 
     def keep(result: TestResult, _: int) -> None:
         if result.outcome in ("failed", "error") and result.record.failure is not None:

@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
+from dataclasses import fields
+from functools import wraps
 from importlib import import_module
 from pathlib import Path
 from typing import Any, TypeVar
@@ -100,6 +102,30 @@ def group_options(heading: str, *options: Callable[[Any], Any]) -> Callable[[Com
         for parameter in command.__click_params__[before:]:
             parameter.heading = heading
         return command
+
+    return add
+
+
+def gather_options(
+    heading: str, argument: str, kind: type[Any], *options: Callable[[Any], Any]
+) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Add options as `group_options` does; the command gets those of ``kind``'s fields as one object.
+
+    Args:
+        heading: in the help.
+        argument: of the command: its name.
+        kind: a dataclass; each of its fields has the name of one of the options.
+        options: to add; the command gets those that are no fields of ``kind`` one by one.
+    """
+    names = [each.name for each in fields(kind)]
+
+    def add(command: Callable[..., Any]) -> Callable[..., Any]:
+        @wraps(command)
+        def gather(**values: Any) -> Any:
+            gathered = kind(**{name: values.pop(name) for name in names})
+            return command(**values, **{argument: gathered})
+
+        return group_options(heading, *options)(gather)
 
     return add
 

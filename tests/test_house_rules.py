@@ -26,7 +26,7 @@ FLOORS = {
     "stss": "__main__ > cli > demo > quality cluster > check_sequence run > port sequence > frames > pages > devices > images weights",
     "stss_lab": "commands > command_bench command_methods command_stress command_tune > bench methods > stress tune baselines",
     "conformance": "command pytest_plugin > graph > report > suite > explain > judging reference_port > answers mistakes cases > "
-    "protocol scenes tolerance",
+    "protocol scenes tolerance > options",
     "stss_cl": "skip > frame > network image_space > device graph liveness options cost",
     "stss_ground": "exit_status commands > optional option_kinds output pages progress toml_table cores > machine arguments > "
     "errors terminal version regular_file shell",

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 from urllib.parse import unquote
@@ -12,9 +13,10 @@ import numpy as np
 
 from conformance.graph.model import Model
 from conformance.graph.rounding import AnyArray
+from conformance.options import PortChoice
 from conformance.protocol.job_folder import CASE, read_array, write_inputs
 from conformance.protocol.load_port import import_port, split_command
-from conformance.protocol.port import Case, PortError
+from conformance.protocol.port import Case, PortError, foreign_code, own_members
 from conformance.protocol.program import Program
 from stss_ground.errors import InputError
 from stss_ground.optional import require
@@ -35,12 +37,31 @@ class GraphPort(Protocol):
     name: str
 
     def run(self, inputs: Arrays) -> dict[str, AnyArray]:
-        """Compute; returns the model's outputs, and any other of its tensors, by their names in the model.
-
-        A port may have a second method, ``layers``, with the same arguments: tensors of another run, if returning them changes the
-        computation. ``run`` then returns only the outputs.
-        """
+        """Compute; returns the model's outputs, and any other of its tensors, by their names in the model."""
         ...
+
+
+@dataclass(frozen=True)
+class GraphAbilities:
+    """Abilities of a port besides `GraphPort`'s members: it has any of these as its own.
+
+    Attributes:
+        layers: takes what ``run`` takes, and returns tensors of another run, if returning them changes the computation; ``run`` then
+            returns only the outputs.
+        restart: forgets its state.
+    """
+
+    layers: Callable[[Arrays], dict[str, AnyArray]] | None = None
+    restart: Callable[[], None] | None = None
+
+
+def graph_abilities_of(port: GraphPort) -> GraphAbilities:
+    """A port's abilities; InputError if one cannot be read."""
+    try:
+        with foreign_code():
+            return own_members(port, GraphAbilities)
+    except PortError as error:
+        raise InputError(f"{port.name}: {error}") from error
 
 
 class OnnxRuntime:
@@ -68,7 +89,7 @@ class OnnxRuntime:
         return _run_session(self._whole, inputs)
 
     def layers(self, inputs: Arrays) -> dict[str, AnyArray]:
-        """See `GraphPort.run`."""
+        """See `GraphAbilities`."""
         return _run_session(self._open, inputs)
 
 
@@ -96,7 +117,7 @@ class OpenVino:
         return _run_compiled(self._whole, inputs)
 
     def layers(self, inputs: Arrays) -> dict[str, AnyArray]:
-        """See `GraphPort.run`."""
+        """See `GraphAbilities`."""
         return _run_compiled(self._open, inputs)
 
 
@@ -143,22 +164,17 @@ ENGINES: dict[str, Callable[..., GraphPort]] = {"onnxruntime": OnnxRuntime, "ope
 """``--port NAME`` or ``NAME:OPTION``."""
 
 
-def load_graph_port(model: Model, spec: str | None, program: str | None, timeout: float) -> GraphPort:
-    """Load the port to be judged.
-
-    Args:
-        model: the network.
-        spec: an engine, ``onnxruntime[:PROVIDER]``, ``openvino[:PRECISION]``, ``pytorch:MODULE:FACTORY``; or ``package.module:factory``.
-        program: a command line; the job folder is appended to it.
-        timeout: most seconds that a case of a program may take.
+def load_graph_port(model: Model, choice: PortChoice) -> GraphPort:
+    """Load the port of ``model`` to be judged.
 
     Raises:
-        InputError: not exactly one of ``spec`` and ``program`` is given, or there is no such port.
+        InputError: not exactly one of ``choice.spec`` and ``choice.program`` is given, or there is no such port.
     """
-    if (spec is None) == (program is None):
+    spec = choice.spec
+    if (spec is None) == (choice.program is None):
         raise InputError("expected either --port or --exec PROGRAM")
-    if program is not None:
-        return GraphProgram(split_command(program), timeout, keep=False)
+    if choice.program is not None:
+        return GraphProgram(split_command(choice.program), choice.timeout, keep=False)
     engine, _, option = (spec or "").partition(":")
     try:
         if engine in ENGINES:

@@ -17,6 +17,7 @@ from conformance.graph.model import Model
 from conformance.graph.ports import GraphPort
 from conformance.graph.run import Outcome, Tensor
 from conformance.judging.findings import Record, TestResult
+from conformance.options import ReportFiles
 from conformance.report.junit import write_junit
 from conformance.report.markup import failure_of, number_of, row_of, table_of
 from conformance.report.report import write_json
@@ -67,9 +68,8 @@ def lines_of(outcome: Outcome) -> list[str]:
 
 
 def write_files(
-    outcome: Outcome, model: Model, port: GraphPort, options: Mapping[str, Any], folder: Path | None,
-    json_file: Path | None, junit: Path | None, page_file: Path | None,
-) -> None:  # fmt: skip
+    outcome: Outcome, model: Model, port: GraphPort, options: Mapping[str, Any], folder: Path | None, files: ReportFiles
+) -> None:
     """Write the files that are wanted.
 
     Args:
@@ -78,22 +78,21 @@ def write_files(
         port: that was judged.
         options: of the run.
         folder: of the failure; None: there is none.
-        json_file, junit, page_file: paths; None: not wanted.
+        files: to write.
 
     Raises:
         InputError: a file cannot be written.
     """
     results = _results(outcome)
     folders = {result.id: folder for result in results if folder is not None and result.outcome == "failed"}
-    if json_file is not None:
-        write_json(json_file, to_json(outcome, model, port, options, folder))
-    if junit is not None:
+    if files.json_file is not None:
+        write_json(files.json_file, to_json(outcome, model, port, options, folder))
+    if files.junit is not None:
         about = {"stss": VERSION, "model": printable(model.path.name), "port": printable(port.name), **options}
-        write_junit(junit, about, results, folders)
-    if page_file is not None:
-        _write_page(
-            page_file, f"{port.name} {'passes' if outcome.passes else 'departs'}: {model.path.name}", outcome, results, folder
-        )
+        write_junit(files.junit, about, results, folders)
+    if files.page is not None:
+        title = f"{port.name} {'passes' if outcome.passes else 'departs'}: {model.path.name}"
+        _write_page(files.page, title, outcome, results, folder)
 
 
 def to_json(outcome: Outcome, model: Model, port: GraphPort, options: Mapping[str, Any], folder: Path | None) -> dict[str, Any]:

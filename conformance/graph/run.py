@@ -26,7 +26,7 @@ from conformance.graph.judgement import (
     judge,
 )
 from conformance.graph.model import Model
-from conformance.graph.ports import STAGE, GraphPort
+from conformance.graph.ports import STAGE, GraphPort, graph_abilities_of
 from conformance.graph.rounding import AnyArray, Rounding
 from conformance.judging.findings import DepartureError, Failure, Finding
 from conformance.judging.search import SHRINK_SECONDS, EnoughError, draw_cases
@@ -153,6 +153,7 @@ class _Search:
 
     def __init__(self, model: Model, port: GraphPort, rounding: Rounding, outcome: Outcome):
         self.model, self._port, self._rounding, self._outcome = model, port, rounding, outcome
+        self._abilities = graph_abilities_of(port)
         self._suits: dict[tuple[tuple[str, int], ...], bool] = {}
         self._before: list[GraphCase] = []
         self._failed_at = 0.0
@@ -162,8 +163,8 @@ class _Search:
         if self._failed_at:
             if monotonic() - self._failed_at > SHRINK_SECONDS:
                 raise EnoughError
-            if restart := getattr(self._port, "restart", None):
-                restart()
+            if self._abilities.restart is not None:
+                self._abilities.restart()
         key, inputs = tuple(case.sizes.items()), case.inputs(self.model)
         if key not in self._suits:
             self._suits[key] = not case.sizes or _suits(self.model, inputs, self._rounding)
@@ -189,10 +190,54 @@ class _Search:
     def check(self, inputs: dict[str, AnyArray], words: str, before: Sequence[dict[str, AnyArray]] = ()) -> None:
         """Judge a case; DepartureError if it is wrong, with the failure in the outcome."""
         try:
-            _check(self.model, self._port, self._rounding, inputs, words, self._outcome)
+            self._judge(inputs, words)
         except DepartureError as error:
             self._outcome.failure = Failure(error.finding, inputs, tuple(before))
             raise
+
+    def _judge(self, inputs: dict[str, AnyArray], words: str) -> None:
+        """Judge one case; DepartureError if it is wrong."""
+        model, rounding, outcome = self.model, self._rounding, self._outcome
+        first = outcome.cases == 0
+        outcome.cases += 1
+        if first:
+            outcome.unknown = (*outcome.unknown, *find_unsupported(model, inputs, rounding))
+        case = Case(STAGE, inputs)
+        where = f"case: {words}"
+        try:
+            with foreign_code():
+                got = whole = self._port.run({name: array.copy() for name, array in inputs.items()})
+            if missing := [name for name in model.outputs if name not in whole]:
+                raise PortError(f"output {missing[0]} is missing")
+            if self._abilities.layers is not None:
+                with foreign_code():
+                    got = self._abilities.layers({name: array.copy() for name, array in inputs.items()})
+            _require_numbers(model, whole)
+            _require_numbers(model, got)
+        except Exception as error:
+            # A port is foreign code.
+            headline, *more = _lines_of(error)
+            raise DepartureError(Finding(headline, case, "", None, None, (*more, where))) from error
+        try:
+            rows = judge(model, inputs, {name: got[name] for name in model.tensors if name in got}, rounding)
+            ends = judge(model, inputs, {name: whole[name] for name in model.outputs}, rounding)
+        except SizeError:
+            raise
+        except ShapeError as error:
+            raise DepartureError(Finding(str(error), case, "", None, None, (where,))) from error
+        outcome.unjudged = tuple(name for name in model.outputs if name not in {row.tensor for row in ends})
+        departs = next((row for row in rows if not row.ratio <= 1 and not is_fused(model, inputs, got, row, rounding)), None)
+        departs = departs or next((row for row in ends if not row.ratio <= 1), None)
+        for number, row in enumerate(rows):
+            # Tensors behind the first departure are not checked for fusion.
+            fused = row.ratio > 1 and (departs not in rows or number < rows.index(departs))
+            outcome.tensors.setdefault(row.tensor, Tensor(row.node.op)).take(row, fused=fused)
+        for row in ends:
+            outcome.ends.setdefault(row.tensor, Tensor(row.node.op)).take(row)
+        if departs:
+            headline, *more = _lines(departs, rows, ends, rounding)
+            right = Expected(departs.right.x, departs.right.errors)
+            raise DepartureError(Finding(headline, case, departs.tensor, departs.got, right, (*more, where)))
 
 
 def _open_axis(model: Model) -> str:
@@ -205,50 +250,6 @@ def _suits(model: Model, inputs: Mapping[str, AnyArray], rounding: Rounding) -> 
     except SizeError:
         return False
     return True
-
-
-def _check(model: Model, port: GraphPort, rounding: Rounding, inputs: dict[str, AnyArray], words: str, outcome: Outcome) -> None:
-    """Judge one case; DepartureError if it is wrong."""
-    first = outcome.cases == 0
-    outcome.cases += 1
-    if first:
-        outcome.unknown = (*outcome.unknown, *find_unsupported(model, inputs, rounding))
-    case = Case(STAGE, inputs)
-    where = f"case: {words}"
-    try:
-        with foreign_code():
-            got = whole = port.run({name: array.copy() for name, array in inputs.items()})
-        if missing := [name for name in model.outputs if name not in whole]:
-            raise PortError(f"output {missing[0]} is missing")
-        if layers := getattr(port, "layers", None):
-            with foreign_code():
-                got = layers({name: array.copy() for name, array in inputs.items()})
-        _require_numbers(model, whole)
-        _require_numbers(model, got)
-    except Exception as error:
-        # A port is foreign code.
-        headline, *more = _lines_of(error)
-        raise DepartureError(Finding(headline, case, "", None, None, (*more, where))) from error
-    try:
-        rows = judge(model, inputs, {name: got[name] for name in model.tensors if name in got}, rounding)
-        ends = judge(model, inputs, {name: whole[name] for name in model.outputs}, rounding)
-    except SizeError:
-        raise
-    except ShapeError as error:
-        raise DepartureError(Finding(str(error), case, "", None, None, (where,))) from error
-    outcome.unjudged = tuple(name for name in model.outputs if name not in {row.tensor for row in ends})
-    departs = next((row for row in rows if not row.ratio <= 1 and not is_fused(model, inputs, got, row, rounding)), None)
-    departs = departs or next((row for row in ends if not row.ratio <= 1), None)
-    for number, row in enumerate(rows):
-        # Tensors behind the first departure are not checked for fusion.
-        fused = row.ratio > 1 and (departs not in rows or number < rows.index(departs))
-        outcome.tensors.setdefault(row.tensor, Tensor(row.node.op)).take(row, fused=fused)
-    for row in ends:
-        outcome.ends.setdefault(row.tensor, Tensor(row.node.op)).take(row)
-    if departs:
-        headline, *more = _lines(departs, rows, ends, rounding)
-        right = Expected(departs.right.x, departs.right.errors)
-        raise DepartureError(Finding(headline, case, departs.tensor, departs.got, right, (*more, where)))
 
 
 def _require_numbers(model: Model, tensors: Mapping[str, Any]) -> None:

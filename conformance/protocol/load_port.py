@@ -11,6 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from conformance.options import PortChoice
 from conformance.protocol.port import Abilities, Port, PortError, abilities_of, foreign_code
 from conformance.protocol.program_port import FolderPort
 from conformance.protocol.stages import STAGES
@@ -21,45 +22,31 @@ from stss_ground.shell import split_words
 ARITHMETICS = ("float32", "float16", "bfloat16")
 
 
-def load_port(
-    spec: str | None,
-    program: str | None,
-    timeout: float,
-    dtype: str | None = None,
-    winograd: bool = False,
-    weights_version: int | None = None,
-    stages: Iterable[str] = STAGES,
-) -> tuple[Port, Abilities]:
-    """Load the port to be judged.
-
-    Args:
-        spec: ``package.module:factory``, a callable without arguments; the current folder is searched first.
-        program: a command line; the job folder is appended to it.
-        timeout: most seconds that one run of a program may take.
-        dtype: arithmetic of the port; None: as the port's own ``dtype`` says, float32 for a program.
-        winograd: the port uses Winograd convolutions, even if its own ``winograd`` does not say so.
-        weights_version: the latest version of weights that the port knows; None: as its own ``weights_version`` says, else the latest.
-        stages: a program is asked only for these.
+def load_port(choice: PortChoice, stages: Iterable[str] = STAGES) -> tuple[Port, Abilities]:
+    """Load the port to be judged; a program is asked only for ``stages``.
 
     Returns:
-        The port, and its abilities by its own statement or by these arguments.
+        The port, and its abilities by its own statement or by the user's.
 
     Raises:
-        InputError: not exactly one of ``spec`` and ``program`` is given, or there is no such port.
+        InputError: not exactly one of ``choice.spec`` and ``choice.program`` is given, or there is no such port.
     """
+    spec, program = choice.spec, choice.program
     if (spec is None) == (program is None):
         raise InputError("expected either --port package.module:factory or --exec PROGRAM")
     origin = spec or program
     try:
         words = split_command(program or "") if spec is None else []
-        port: Any = import_port(spec) if spec is not None else FolderPort(words, timeout, stages=stages, keep=False)
+        port: Any = import_port(spec) if spec is not None else FolderPort(words, choice.timeout, stages=stages, keep=False)
         lacking = [name for name in ("name", "dtype", "stages", "run") if not hasattr(port, name)]
         if lacking:
             raise InputError(f"{spec}: expected a port, got a {type(port).__name__} without {', '.join(lacking)}")
-        options: dict[str, Any] = {"dtype": dtype, "winograd": winograd or None, "weights_version": weights_version}
+        stated: dict[str, Any] = {
+            "dtype": choice.dtype, "winograd": choice.winograd or None, "weights_version": choice.weights_version,
+        }  # fmt: skip
         with foreign_code():
             own, stages_there = abilities_of(port), set[str](port.stages())
-        abilities = replace(own, **{name: value for name, value in options.items() if value is not None})
+        abilities = replace(own, **{name: value for name, value in stated.items() if value is not None})
         arithmetic: Any = abilities.dtype
         # NumPy's own dtype equals its name, and is no key of the tables of bounds.
         if not isinstance(arithmetic, str) or arithmetic not in ARITHMETICS:

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ Arrays = Mapping[str, AnyArray]
 """Inputs by the names of the stage table."""
 Outputs = dict[str, AnyArray]
 """Outputs likewise."""
+Members = TypeVar("Members")
 
 
 class PortError(RuntimeError):
@@ -131,4 +132,10 @@ class Abilities:
 
 def abilities_of(port: Port) -> Abilities:
     """A port's abilities; those that it does not mention are as in `Abilities`."""
-    return Abilities(**{each.name: getattr(port, each.name) for each in fields(Abilities) if hasattr(port, each.name)})
+    return own_members(port, Abilities)
+
+
+def own_members(port: object, kind: Callable[..., Members]) -> Members:
+    """The members that a port has of those that dataclass ``kind`` names; the others have its defaults."""
+    names = [each.name for each in fields(cast("Any", kind))]
+    return kind(**{name: getattr(port, name) for name in names if hasattr(port, name)})

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from conformance.judging.findings import Failure, Finding, TestResult
 from conformance.judging.judge import Judge
+from conformance.options import ReportFiles
 from conformance.report.failures import keep_failure
 from conformance.report.junit import about_run, write_junit
 from conformance.report.report import judged_on, passed, print_results, to_json, write_json, write_page
@@ -23,19 +24,18 @@ class RunningReport:
 
     Args:
         judge: judges the port.
-        failures: folder for failures.
+        files: to write.
         again: the command that runs a failure again, without its folder.
-        json_file: for all results; None: write none.
 
     Attributes:
         results: of the tests so far.
         folders: of failures, by the id of the test.
     """
 
-    def __init__(self, judge: Judge, failures: Path, again: str, json_file: Path | None = None):
+    def __init__(self, judge: Judge, files: ReportFiles, again: str):
         self.results: list[TestResult] = []
         self.folders: dict[str, Path] = {}
-        self._judge, self._failures, self._again, self._json = judge, failures, again, json_file
+        self._judge, self._files, self._again = judge, files, again
         self._terminal = Terminal(stderr=True)
         self._bar = ExitStack()
         self._advance: Advance | None = None
@@ -71,7 +71,7 @@ class RunningReport:
     def _keep(self, name: str, failure: Failure) -> None:
         """Store a failure, and print how it is run again; where that cannot be, the run goes on all the same."""
         try:
-            self.folders[name] = keep_failure(self._failures, name, failure, self._again)
+            self.folders[name] = keep_failure(self._files.failures, name, failure, self._again)
         except InputError as error:
             echo(f"  not kept: {error}; --failures takes another folder")
         else:
@@ -81,23 +81,15 @@ class RunningReport:
         """A failure that is still made smaller."""
         echo(f"fails; its case is being made smaller: {finding.message}")
 
-    def finish(self, page: Path | None, junit: Path | None = None) -> bool:
-        """Print and write the whole report, even of a run that was stopped.
-
-        Args:
-            page: HTML file to write; None: none.
-            junit: JUnit file to write; None: none.
-
-        Returns:
-            Whether the port passes.
-        """
+    def finish(self) -> bool:
+        """Print and write the whole report, even of a run that was stopped; whether the port passes."""
         complete = self._count() >= self._total > 0
         self.write(complete=complete)
         print_results(self.results, Terminal())
-        if page is not None:
-            write_page(page, self._judge, self.results, self.folders)
-        if junit is not None:
-            write_junit(junit, about_run(self._judge), self.results, self.folders)
+        if self._files.page is not None:
+            write_page(self._files.page, self._judge, self.results, self.folders)
+        if self._files.junit is not None:
+            write_junit(self._files.junit, about_run(self._judge), self.results, self.folders)
         for line in judged_on(self._judge, self.results):
             echo(line)
         if not complete:
@@ -106,5 +98,5 @@ class RunningReport:
 
     def write(self, *, complete: bool = False) -> None:
         """Write the JSON of the results so far; ``complete``: the run came to its end."""
-        if self._json is not None:
-            write_json(self._json, to_json(self._judge, self.results, self.folders, self._total, complete))
+        if self._files.json_file is not None:
+            write_json(self._files.json_file, to_json(self._judge, self.results, self.folders, self._total, complete))

@@ -3,10 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import fields
-from functools import wraps
-from typing import Any, TypeVar
+from typing import Any
 
 import click
 
@@ -20,12 +17,9 @@ from stss.sequence.choose_weights import AUTO
 from stss.sequence.find_files import MAX_DIGITS
 from stss.sequence.reader import SequenceOptions
 from stss_cl.options import PRECISIONS, SKIPS
-from stss_ground.commands import group_options
+from stss_ground.commands import gather_options, group_options
 from stss_ground.option_kinds import Names, Number, ReadName, ReadPath
 from stss_ground.terminal import echo
-
-Command = TypeVar("Command", bound=Callable[..., Any])
-
 
 MAX_MIB = 1 << 24
 """Largest ``--memory-limit``, in MiB: 16 TiB."""
@@ -76,123 +70,108 @@ class TransferName(click.Choice):  # pyrefly: ignore[implicit-any]  # generic on
         return super().convert(value, param, ctx)
 
 
-def sequence_options(command: Command) -> Command:
-    """Add the options of commands that read a sequence; the command gets ``reading``, a ``SequenceOptions``."""
-    names = [each.name for each in fields(SequenceOptions)]
-
-    @wraps(command)
-    def collect(**options: Any) -> Any:
-        reading = SequenceOptions(**{name: options.pop(name) for name in names})
-        return command(**options, reading=reading)
-
-    options = (
+sequence_options = gather_options(
+    "The sequence",
+    "reading",
+    SequenceOptions,
+    click.option(
+        "--profile",
+        type=ReadName(),
+        help="The renderer's conventions: a name or a TOML file  [default: the profile that fits the channels' names]",
+    ),
+    click.option(
+        "--camera",
+        type=ReadPath(),
+        help="CSV of frame,x,y,z in the sequence's unit of length  [default: from the files, or from position and depth]",
+    ),
+    click.option("--metallic", type=Number(0, 1), help="A constant, for files without this buffer."),
+    click.option("--roughness", type=Number(0, 1), help="A constant, for files without this buffer."),
+    *(
         click.option(
-            "--profile",
-            type=ReadName(),
-            help="The renderer's conventions: a name or a TOML file  [default: the profile that fits the channels' names]",
-        ),
-        click.option(
-            "--camera",
-            type=ReadPath(),
-            help="CSV of frame,x,y,z in the sequence's unit of length  [default: from the files, or from position and depth]",
-        ),
-        click.option("--metallic", type=Number(0, 1), help="A constant, for files without this buffer."),
-        click.option("--roughness", type=Number(0, 1), help="A constant, for files without this buffer."),
-        *(
-            click.option(
-                f"--{name}", type=click.Choice(MOTION_SOURCES), default="files", show_default=True, help=f"Source of {text}."
-            )
-            for name, text in (
-                ("background", "the background's motion: camera computes it, for files without it"),
-                (
-                    "static",
-                    "the motion of what has stencil 0, and of the background: camera computes it, for files without motion",
-                ),
-            )
-        ),
-        click.option(
-            "--non-finite",
-            type=click.Choice(["refuse", "mask"]),
-            default="refuse",
-            show_default=True,
-            help="NaN and Inf in colour or G-buffer: an error, or 0 and a warping hole.",
-        ),
-    )
-    decorated: Any = group_options("The sequence", *options)(collect)
-    return decorated
+            f"--{name}", type=click.Choice(MOTION_SOURCES), default="files", show_default=True, help=f"Source of {text}."
+        )
+        for name, text in (
+            ("background", "the background's motion: camera computes it, for files without it"),
+            (
+                "static",
+                "the motion of what has stencil 0, and of the background: camera computes it, for files without motion",
+            ),
+        )
+    ),
+    click.option(
+        "--non-finite",
+        type=click.Choice(["refuse", "mask"]),
+        default="refuse",
+        show_default=True,
+        help="NaN and Inf in colour or G-buffer: an error, or 0 and a warping hole.",
+    ),
+)
+"""Options of commands that read a sequence; the command gets ``reading``, a ``SequenceOptions``."""
 
 
-def frame_options(command: Command) -> Command:
-    """Add the options of commands that write frames of a sequence; see ``stss.run.options.RunOptions``."""
-    options = (
-        click.option(
-            "--rendered",
-            type=click.Choice(["even", "odd", "all"]),
-            help="The frames to take as rendered  [default: those with colour; if all have it, every second of each shot]",
-        ),
-        click.option(
-            "--cuts", type=FrameNumbers(), default=(), metavar="a,b,...", help="The first frame of each shot except the first."
-        ),
-        click.option(
-            "--also",
-            type=Names(),
-            default=(),
-            metavar="NAME,...",
-            help="Layers or channels to warp and enlarge beside the colour, without the network; alpha is always included.",
-        ),
-        click.option("--frames", type=FrameRange(), help="First and last frame to write; earlier ones still serve as history."),
-        click.option(
-            "--transfer",
-            type=TransferName(TRANSFERS),
-            help="Transfer from the files' colour to the network's"
-            "  [default: srgb for scene-linear files, none for display-referred ones]",
-        ),
-        click.option("--depth", type=click.Choice(["clip", "scale"]), help="How depth is normalised  [default: the profile's]"),
-    )
-    return group_options("The frames", *options)(command)
+frame_options = group_options(
+    "The frames",
+    click.option(
+        "--rendered",
+        type=click.Choice(["even", "odd", "all"]),
+        help="The frames to take as rendered  [default: those with colour; if all have it, every second of each shot]",
+    ),
+    click.option(
+        "--cuts", type=FrameNumbers(), default=(), metavar="a,b,...", help="The first frame of each shot except the first."
+    ),
+    click.option(
+        "--also",
+        type=Names(),
+        default=(),
+        metavar="NAME,...",
+        help="Layers or channels to warp and enlarge beside the colour, without the network; alpha is always included.",
+    ),
+    click.option("--frames", type=FrameRange(), help="First and last frame to write; earlier ones still serve as history."),
+    click.option(
+        "--transfer",
+        type=TransferName(TRANSFERS),
+        help="Transfer from the files' colour to the network's"
+        "  [default: srgb for scene-linear files, none for display-referred ones]",
+    ),
+    click.option("--depth", type=click.Choice(["clip", "scale"]), help="How depth is normalised  [default: the profile's]"),
+)
+"""Options of commands that write frames of a sequence; see ``stss.run.options.RunOptions``."""
 
 
-def backend_options(command: Command) -> Command:
-    """Add the options of commands that compute frames; the command gets ``backend`` and ``compute``, a ``ComputeOptions``."""
-    names = [each.name for each in fields(ComputeOptions)]
-
-    @wraps(command)
-    def collect(*, memory_limit: int | None, **options: Any) -> Any:
-        options["memory_limit"] = None if memory_limit is None else memory_limit << 20
-        compute = ComputeOptions(**{name: options.pop(name) for name in names})
-        return command(**options, compute=compute)
-
-    options = (
-        click.option("--backend", type=click.Choice(BACKENDS), default="cl", show_default=True, help="OpenCL, or the reference."),
-        click.option("--device", help="Part of an OpenCL device's name (stss devices)  [default: $STSS_DEVICE, or the fastest]"),
-        click.option(
-            "--precision",
-            type=click.Choice(PRECISIONS),
-            default="float32",
-            show_default=True,
-            help="float32-direct: without Winograd; half: activations stored as half.",
-        ),
-        click.option(
-            "--memory-limit",
-            type=click.IntRange(1, MAX_MIB),
-            metavar="MIB",
-            help="Memory for the network's buffers; larger frames are computed in strips  [default: half of the device's memory]",
-        ),
-        click.option(
-            "--skip",
-            type=click.Choice(SKIPS),
-            default="exact",
-            show_default=True,
-            help="off: compute everything; exact: do not compute unchanged parts again, with the same bits.",
-        ),
-        click.option(
-            "--accumulate/--no-accumulate",
-            default=None,
-            help="Mix each frame with the two before it, so that it flickers less  [default: if the weights are made for aliased input]",
-        ),
-    )
-    decorated: Any = group_options("The device", *options)(collect)
-    return decorated
+backend_options = gather_options(
+    "The device",
+    "compute",
+    ComputeOptions,
+    click.option("--backend", type=click.Choice(BACKENDS), default="cl", show_default=True, help="OpenCL, or the reference."),
+    click.option("--device", help="Part of an OpenCL device's name (stss devices)  [default: $STSS_DEVICE, or the fastest]"),
+    click.option(
+        "--precision",
+        type=click.Choice(PRECISIONS),
+        default="float32",
+        show_default=True,
+        help="float32-direct: without Winograd; half: activations stored as half.",
+    ),
+    click.option(
+        "--memory-limit",
+        type=click.IntRange(1, MAX_MIB),
+        metavar="MIB",
+        callback=lambda _, __, value: None if value is None else value << 20,
+        help="Memory for the network's buffers; larger frames are computed in strips  [default: half of the device's memory]",
+    ),
+    click.option(
+        "--skip",
+        type=click.Choice(SKIPS),
+        default="exact",
+        show_default=True,
+        help="off: compute everything; exact: do not compute unchanged parts again, with the same bits.",
+    ),
+    click.option(
+        "--accumulate/--no-accumulate",
+        default=None,
+        help="Mix each frame with the two before it, so that it flickers less  [default: if the weights are made for aliased input]",
+    ),
+)
+"""Options of commands that compute frames; the command gets ``backend`` and ``compute``, a ``ComputeOptions``."""
 
 
 weights_option = click.option(
@@ -204,19 +183,14 @@ weights_option = click.option(
 )
 
 
-def perceptual_options(command: Command) -> Command:
-    """Add the options of metrics that need further packages; the command gets ``perceptual``, a ``Perceptual``."""
-
-    @wraps(command)
-    def collect(*, flip: bool, vmaf: bool, **others: Any) -> Any:
-        return command(**others, perceptual=Perceptual(flip, vmaf))
-
-    options = (
-        click.option("--flip", is_flag=True, help="FLIP too  [needs the extra metrics]"),
-        click.option("--vmaf", is_flag=True, help="VMAF too  [needs the extra metrics]"),
-    )
-    decorated: Any = group_options("Metrics", *options)(collect)
-    return decorated
+perceptual_options = gather_options(
+    "Metrics",
+    "perceptual",
+    Perceptual,
+    click.option("--flip", is_flag=True, help="FLIP too  [needs the extra metrics]"),
+    click.option("--vmaf", is_flag=True, help="VMAF too  [needs the extra metrics]"),
+)
+"""Options of metrics that need further packages; the command gets ``perceptual``, a ``Perceptual``."""
 
 
 def _is_whole(word: str, digits: int) -> bool:

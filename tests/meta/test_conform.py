@@ -22,6 +22,7 @@ from conformance.answers.network import expect_layers
 from conformance.answers.port_arithmetic import Arithmetic
 from conformance.judging.findings import DepartureError
 from conformance.judging.judge import TIERS, Judge, Tier, agreement
+from conformance.options import PortChoice
 from conformance.protocol import write_job
 from conformance.protocol.layers import LAYERS_OF
 from conformance.protocol.load_port import load_port
@@ -276,7 +277,7 @@ def test_a_port_that_does_not_load_is_one_line(tmp_path, monkeypatch, source, wo
     monkeypatch.delitem(sys.modules, "odd", raising=False)
     importlib.invalidate_caches()
     with pytest.raises(InputError) as error:
-        load_port("odd:P", None, 60)
+        load_port(PortChoice("odd:P"))
     assert words in str(error.value)
     assert "odd:P: " in str(error.value)
     assert "\n" not in str(error.value)
@@ -358,7 +359,7 @@ def test_the_example_in_cpp_passes(tmp_path):
     """As a porter builds it: some cases of all its stages, each batch of cases at one start; what agrees has the other properties."""
     shutil.copytree(EXAMPLE, tmp_path / "cpp", ignore=shutil.ignore_patterns("port"))
     subprocess.run(["make", "-s"], cwd=tmp_path / "cpp", check=True)
-    port, _ = load_port(None, str(tmp_path / "cpp" / "port"), 60)
+    port, _ = load_port(PortChoice(program=str(tmp_path / "cpp" / "port"), timeout=60))
     for stage, names in LAYERS_OF.items():
         case = samples(stage)[0]
         right = expect_layers(stage, exact(case.inputs), case.weights, Arithmetic())

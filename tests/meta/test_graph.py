@@ -23,7 +23,9 @@ from conformance.graph.operators import Node
 from conformance.graph.ports import load_graph_port
 from conformance.graph.rounding import Rounding
 from conformance.graph.run import judge_port
+from conformance.options import PortChoice
 from conformance.protocol.drawn_case import read_drawn
+from stss_ground.errors import InputError
 from tests.tiers import every
 
 onnx = pytest.importorskip("onnx", reason="onnx is not installed: pip install onnx")
@@ -443,6 +445,42 @@ def test_a_port_that_answers_otherwise_is_said(model, run, words):
     assert words in " ".join(judge_port(model, port, F32).wrong)
 
 
+def test_layers_of_another_run_are_judged_beside_the_outputs(model):
+    class Layered(NumpyPort):
+        def run(self, inputs):
+            return {name: array for name, array in super().run(inputs).items() if name in model.outputs}
+
+        def layers(self, inputs):
+            return NumpyPort.run(self, inputs)
+
+    outcome = judge_port(model, Layered(model), F32)
+    assert (outcome.passes, [*outcome.tensors]) == (True, model.tensors)
+    wrong = judge_port(model, Layered(model, "conv", attributes(pads=[1, 2, 1, 0])), F32).wrong
+    assert re.match("first departs at conv .* introduced here$", wrong[0])
+
+
+def test_a_port_forgets_its_state_before_each_smaller_case(model):
+    class Counting(NumpyPort):
+        restarts = 0
+
+        def restart(self):
+            self.restarts += 1
+
+    port = Counting(model, "tanh", result(lambda x: x + 1))
+    assert not judge_port(model, port, F32).passes
+    assert port.restarts > 0
+
+
+def test_an_ability_that_cannot_be_read_is_the_ports_mistake(model):
+    class Broken(NumpyPort):
+        @property
+        def layers(self):
+            raise RuntimeError("no layers today")
+
+    with pytest.raises(InputError, match="RuntimeError: no layers today"):
+        judge_port(model, Broken(model), F32)
+
+
 def test_nan_is_wrong(model):
     plant = result(lambda x: np.where(np.arange(x.size).reshape(x.shape) == 3, np.nan, x))
     wrong = judge_port(model, NumpyPort(model, "tanh", plant), F32).wrong[0]
@@ -566,7 +604,7 @@ def test_a_program_that_changes_its_inputs_or_fails_is_said(tmp_path):
         ("import time; time.sleep(60)", 0.5, "stopped after 0.5 s"),
     ):
         (tmp_path / "port.py").write_text(f"import sys, pathlib\ncase = pathlib.Path(sys.argv[1]) / '0000'\n{lines}\n")
-        port = load_graph_port(model, None, f"{sys.executable} {tmp_path / 'port.py'}", limit)
+        port = load_graph_port(model, PortChoice(program=f"{sys.executable} {tmp_path / 'port.py'}", timeout=limit))
         assert words in " ".join(judge_port(model, port, F32).wrong)
 
 

@@ -44,13 +44,13 @@ def test_a_checkout_judges_a_port(here):
     """A wrong test fails with the judge's words and the command that runs it again; a known failure is excused; pytest writes JUnit."""
     entries = [{"test": "rrm.large_frames_agree_with_the_reference", "until": "2999-01-01", "reason": "https://example.org/1"}]
     (here / "known.json").write_text(json.dumps({"format": 1, "failures": entries}))
-    options = ["--port", "my_port:Port", "-k", "rrm or warp and channels", "--junitxml", "junit.xml"]
+    options = ["--port", "my_port:Port", "--winograd", "-k", "rrm or warp and channels", "--junitxml", "junit.xml"]
     process = run(here, FOLDER, *options)
     assert process.returncode == 1, process.stdout + process.stderr
     assert "1 failed, 2 passed, 1 skipped" in process.stdout
     assert "rrm.valid: wrong at" in process.stdout
     folder = "conform-failures/rrm.large_frames_agree_with_the_reference"
-    assert f"stss conform --port my_port:Port --replay {folder}" in process.stdout
+    assert f"stss conform --port my_port:Port --winograd --replay {folder}" in process.stdout
     assert (here / folder / "README.txt").exists()
     suite = ElementTree.parse(here / "junit.xml").getroot()[0]
     assert [suite.get(name) for name in ("tests", "failures", "skipped")] == ["4", "1", "1"]
