@@ -34,7 +34,7 @@ from stss.quality.output_and_truth import find_images, read_shown, require_size
 from stss.run.options import RunOptions
 from stss.sequence.conventions import BACKGROUND_POSITION
 from stss.sequence.reader import SequenceOptions
-from stss_ground.commands import Subcommand
+from stss_ground.commands import Subcommand, gather_options
 from stss_ground.errors import InputError
 from stss_ground.option_kinds import ReadPath, Size, WrittenFolder
 from stss_ground.output.write_whole import whole_folder
@@ -250,15 +250,28 @@ def write_film(seed: int, inputs: str, size: tuple[int, int], hole_fill: HoleFil
     return f"{name}: {write(out / name, scene, split, hole_fill, film_samples(film, size, hole_fill))} samples"
 
 
+@dataclass(frozen=True)
+class FilmChoice:
+    """The analytic films to make: the options of these names."""
+
+    analytic: int
+    first: int
+    inputs: str
+    size: tuple[int, int]
+    jobs: int
+
+
+@dataclass(frozen=True)
+class RenderingChoice:
+    """The frames of a renderer to cut samples from: the options of these names."""
+
+    sequence: tuple[Path, Path] | None
+    name: str | None
+    scene: str | None
+
+
 @click.command(cls=Subcommand, help=__doc__.splitlines()[0] if __doc__ else None)
 @click.option("-o", "--out", type=WrittenFolder(), required=True, help="Folder of the shards.")
-@click.option("--analytic", type=click.IntRange(0, MAX_COUNT), default=0, metavar="N", help="Make N random analytic films.")
-@click.option("--first", type=click.IntRange(0), default=0, help="Number of the first film.")
-@click.option(
-    "--inputs", type=click.Choice(list(INPUTS)), default="aliased", help="The films' inputs that are means over the pixel."
-)
-@click.option("--size", type=Size(MAX_SIDE), default="160x96", show_default=True, help="Size of the films' small frames.")
-@click.option("--jobs", type=click.IntRange(1), default=1, help="Processes.")
 @click.option(
     "--hole-fill",
     type=click.Choice(HOLE_FILLS),
@@ -266,45 +279,55 @@ def write_film(seed: int, inputs: str, size: tuple[int, int], hole_fill: HoleFil
     show_default=True,
     help="The stage that fills the holes; that of the weights that the run starts from, reshade for realtime.",
 )
-@click.option("--sequence", nargs=2, type=ReadPath(), metavar="LR HR", help="Frames of a renderer and their truth.")
-@click.option("--name", help="Name of the shard  [default: that of the folder above LR]")
-@click.option("--scene", help="Sequences of one scene go into one split  [default: the name]")
 @click.option("--split", type=click.Choice(SPLITS), help="The shard's split  [default: drawn from the scene's name, 8 : 1 : 1]")
+@gather_options(
+    "Analytic films",
+    "films",
+    FilmChoice,
+    click.option("--analytic", type=click.IntRange(0, MAX_COUNT), default=0, metavar="N", help="Make N random analytic films."),
+    click.option("--first", type=click.IntRange(0), default=0, help="Number of the first film."),
+    click.option(
+        "--inputs", type=click.Choice(list(INPUTS)), default="aliased", help="The films' inputs that are means over the pixel."
+    ),
+    click.option("--size", type=Size(MAX_SIDE), default="160x96", show_default=True, help="Size of the films' small frames."),
+    click.option("--jobs", type=click.IntRange(1), default=1, help="Processes."),
+)
+@gather_options(
+    "A renderer's frames",
+    "rendering",
+    RenderingChoice,
+    click.option("--sequence", nargs=2, type=ReadPath(), metavar="LR HR", help="Frames of a renderer and their truth."),
+    click.option("--name", help="Name of the shard  [default: that of the folder above LR]"),
+    click.option("--scene", help="Sequences of one scene go into one split  [default: the name]"),
+)
 @sequence_options
 def make(
     out: Path,
-    analytic: int,
-    first: int,
-    inputs: str,
-    size: tuple[int, int],
-    jobs: int,
     hole_fill: HoleFill,
-    sequence: tuple[Path, Path] | None,
-    name: str | None,
-    scene: str | None,
     split: str | None,
+    films: FilmChoice,
+    rendering: RenderingChoice,
     reading: SequenceOptions,
 ) -> None:
     """``python -m training.samples``."""
-    if sequence is None and not analytic:
+    if rendering.sequence is None and not films.analytic:
         raise InputError("expected --sequence LR HR or --analytic N, found neither")
-    if sequence:
-        low, high = sequence
-        name = name or low.resolve().parent.name
+    if rendering.sequence is not None:
+        low, high = rendering.sequence
+        name = rendering.name or low.resolve().parent.name
         if name in ("", ".", "..") or not {"/", "\\"}.isdisjoint(name):
             raise InputError(f"--name {name}: expected the name of a folder, without separators")
-        scene = scene or name
+        scene = rendering.scene or name
         require_shard(out / name, [low, high])
-        split, film = split or split_of(scene), list(sequence_samples(low, high, reading, hole_fill))
-        count = write(out / name, scene, split, hole_fill, film, [low, high])
+        part, film = split or split_of(scene), list(sequence_samples(low, high, reading, hole_fill))
+        count = write(out / name, scene, part, hole_fill, film, [low, high])
         near = nearness(film)
         doubt = f"; below {FAR:g}: is {high} the truth of {low}?" if near < FAR else ""
-        echo(f"{name}: {count} samples for {split}; bilinear upsampling has {near:.1f} dB{doubt}")
-    if analytic:
-        work = partial(write_film, inputs=inputs, size=size, hole_fill=hole_fill, split=split, out=out)
-        with ProcessPoolExecutor(jobs) as pool:
-            for line in pool.map(work, range(first, first + analytic)):
-                echo(line)
+        echo(f"{name}: {count} samples for {part}; bilinear upsampling has {near:.1f} dB{doubt}")
+    work = partial(write_film, inputs=films.inputs, size=films.size, hole_fill=hole_fill, split=split, out=out)
+    with ProcessPoolExecutor(films.jobs) as pool:
+        for line in pool.map(work, range(films.first, films.first + films.analytic)):
+            echo(line)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
