@@ -16,7 +16,7 @@ MOST_SIDE = 2**17
 
 @dataclass(frozen=True)
 class PortChoice:
-    """A port, and what the user states of it.
+    """A port, and the user's statements about it.
 
     Attributes:
         spec: ``package.module:factory``, a callable without arguments; the current folder is searched first. For a network of the

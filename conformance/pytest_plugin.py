@@ -78,7 +78,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_testnodedown(node: Any) -> None:
-    """With pytest-xdist the workers have the results: take what one of them said at its end; one that crashed said nothing."""
+    """With pytest-xdist the workers have the results: take the result that one of them sends at its end; a crashed one sends none."""
     plugin: Any = node.config.pluginmanager.get_plugin(NAME)
     judged, error = getattr(node, "workeroutput", {}).get(NAME, (False, None))
     plugin.judged_elsewhere |= judged

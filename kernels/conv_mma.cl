@@ -41,7 +41,7 @@
 #define PLANE (PITCH * READ_TALL + 2)  // places of 16 bytes
 #define COLUMN(x) (STRIDE == 2 ? (x) % 2 * 34 + (x) / 2 : (x))
 #define TILE_PIXELS (32 * 4 * ROWS)
-#define RESULT_PLANE (TILE_PIXELS + (7 + EIGHTS) / EIGHTS)  // so what neighbours store lies in different banks
+#define RESULT_PLANE (TILE_PIXELS + (7 + EIGHTS) / EIGHTS)  // so values that neighbours store lie in different banks
 #define MOST(a, b) ((a) > (b) ? (a) : (b))
 // Loads of a work-item, and those before it stores the first of them: all, or equal parts.
 #define LOADS ((EIGHTS_AT_ONCE * READ_WIDE * READ_TALL + ITEMS - 1) / ITEMS)

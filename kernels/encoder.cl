@@ -24,7 +24,7 @@
 #define COLORS local
 #endif
 
-// The channels of a pixel in three eights; returns what is not 0 if one is not finite.
+// The channels of a pixel in three eights; returns a number other than 0 if one is not finite.
 static inline int4 pack_pixel(COLORS const float *c, COLORS const float *g, const float m, float8 *eights)
 {
     // Element by element: PoCL's vload4 is a call.

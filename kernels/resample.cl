@@ -9,7 +9,7 @@
 // rounded once, for frames of any size. The buffers may hold a strip of the frame: their row 0 is row `top` of
 // `full_height` (2 `top` of the output).
 // `tiles`, `count`: the tiles of 32 x 4 pixels of the output that are computed; see tile_list.clh.
-// Build -D EIGHTS -D WORKERS (1, or those of a work-group), optionally -D STORED, -D PREFETCH (of what is compared).
+// Build -D EIGHTS -D WORKERS (1, or those of a work-group), optionally -D STORED, -D PREFETCH (of compared values).
 // Launch (any multiple of WORKERS).
 //
 // If MARKS(changes), the output's map, a value is compared with the stored one, and marked if bits differ

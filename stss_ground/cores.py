@@ -20,11 +20,11 @@ def for_blocks(length: int, block: int, work: Callable[[slice], Result]) -> list
 
     Args:
         length: of the axis that is cut.
-        block: items of a slice, so many that what is done with them stays in the processor's cache.
+        block: items of a slice, few enough that the work on them stays in the processor's cache.
         work: must not depend on the order of its calls.
 
     Returns:
-        What the calls returned, in the order of the slices. The first error in this order is raised.
+        The results of the calls, in the order of the slices. The first error in this order is raised.
     """
     parts = [slice(start, min(start + block, length)) for start in range(0, length, block)]
     if len(parts) <= 1 or (threads := min(available_threads(), len(parts))) == 1:

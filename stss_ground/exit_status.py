@@ -100,5 +100,5 @@ def _fail(message: str) -> None:
 
 
 def _discard(stream: TextIO) -> None:
-    """Send what follows nowhere: the rest of the buffer would fail again when the process ends."""
+    """Send further output nowhere: the rest of the buffer would fail again when the process ends."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())

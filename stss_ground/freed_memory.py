@@ -10,7 +10,7 @@ MOST = 2**31 - 1
 
 
 def keep_freed_memory() -> None:
-    """Let glibc keep what is freed for the next array; other C libraries do as they do.
+    """Let glibc keep freed memory for the next array; other C libraries are not changed.
 
     By itself it gives large arrays back to the kernel, which clears every page anew: a third of the reference's time on large frames.
     """

@@ -52,7 +52,7 @@ def read_json(path: Path, most: int) -> Any:
         most: the largest size allowed; bytes, a multiple of 1024.
 
     Returns:
-        What it holds.
+        Its value.
 
     Raises:
         OSError: as `read_regular`, or it holds no JSON; ``strerror`` says which.

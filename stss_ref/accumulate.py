@@ -15,7 +15,7 @@ def accumulate(image: Image, earlier: Array, motions: Array) -> Image:
 
     ``shown(p) = image(p) + w_1(p)/4 (c_1(p) - image(p)) + w_2(p)/8 (c_2(p) - image(p))``. ``c_k(p)`` is ``clamp(warp(earlier_k)(p),
     box(p))`` where the motion ``m_k`` to that frame leads into it, else ``image(p)``, and so without a second one. ``w_k = min(1, 16 /
-    |m_k|^2)``: what moves by more than 4 pixels is mixed less. ``box(p)``: the smallest and the largest value of each channel of ``image``
+    |m_k|^2)``: less beyond a motion of 4 pixels. ``box(p)``: the smallest and the largest value of each channel of ``image``
     in the 3 x 3 pixels around ``p`` that lie in the frame. A display pixel lies in a pixel, and has twice its motion and the same ``w``.
 
     Source: Karis, High Quality Temporal Supersampling, SIGGRAPH 2014; ours: decision 45.
@@ -41,7 +41,7 @@ def accumulate(image: Image, earlier: Array, motions: Array) -> Image:
     low, high = box(image)
     total = np.zeros_like(image)
     for then, motion, share in zip(earlier, motions, EARLIER_SHARES, strict=False):
-        # A sum of differences and not of images: what rests stays, bit for bit.
+        # A sum of differences and not of images: images at rest stay, bit for bit.
         total = total + _apart(image, then, motion, low, high) * share
     return image + total
 

@@ -38,7 +38,7 @@ from training.validate import Means, bilinear, evaluating, tensors, validate
 
 @dataclass(frozen=True)
 class Settings:
-    """What changes the numbers of a run; a resumed run may have more steps.
+    """The settings that change the numbers of a run; a resumed run may have more steps.
 
     ``data``: a digest of the shards' names and splits: the best score so far is that of their validation frames.
     ``young``: the factor of `infancy`. ``squares``: the share of the squared error in the loss that stays after it.
@@ -292,7 +292,7 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
 def settings_of(
     args: argparse.Namespace, initial: LoadedWeights | None, shards: Sequence[Shard], device: torch.device
 ) -> Settings:
-    """The run's settings: the command line's, and what the initial weights and the shards say."""
+    """The run's settings: those of the command line, of the initial weights and of the shards."""
     half = args.half == "on" or (args.half == "auto" and device.type == "cuda")
     return Settings(
         crop=args.crop,

@@ -49,7 +49,7 @@ def expect_accumulate(inputs: dict[str, NDArray[Any]], arithmetic: Arithmetic) -
 def _part(
     inputs: dict[str, NDArray[Any]], k: int, extremes: tuple[Plane, Plane], arithmetic: Arithmetic
 ) -> tuple[Plane, Plane, Plane, Plane]:
-    """Of an earlier image: what it adds to the image, whether its motion leads into the frame, the error, whether that is unsure."""
+    """Of an earlier image: its change of the image, whether its motion leads into the frame, the error, whether rounding decides that."""
     motion, (low, high) = inputs["motions"][k], extremes
     # Twice a number is exact, but one too small may have become 0 before.
     rounding_of_motion = np.where(motion == 0, 0, 2 * arithmetic.flushed(motion))
@@ -58,7 +58,7 @@ def _part(
     inside, unsure = (mask[..., None] for mask in within_frame(at))
     history, wrong = interpolate(inputs["earlier"][k], at, arithmetic)
     clamped = np.clip(history, low, high)
-    # What the box cuts off is no error.
+    # The part that the box cuts off is no error.
     wrong = np.maximum(clamped - np.clip(history - wrong, low, high), np.clip(history + wrong, low, high) - clamped)
     share = EARLIER_SHARES[k] * slowness(motion).repeat(2, axis=0).repeat(2, axis=1)
     apart = clamped - inputs["image"]

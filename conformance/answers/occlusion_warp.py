@@ -99,7 +99,7 @@ def _right_pairs(rows: Index, columns: Index, unsure: NDArray[np.bool_], order: 
 
 
 def _winners(rows: Index, columns: Index, size: Size) -> Index:
-    """(H W,) the last of those that write to each pixel whichever way they go; of (ways, M) in the order of writing."""
+    """(H W,) the last writer of each pixel, of those that write there by every way; of (ways, M) in the order of writing."""
     # The pixels of all ways begin at the last way's first and end at the first way's second.
     rows, columns = (np.stack([each.max(axis=0), each.min(axis=0) + 1]) for each in (rows, columns))
     always = (rows[0] <= rows[1]) & (columns[0] <= columns[1])

@@ -73,7 +73,7 @@ class Judge:
         record: of the test that runs now; the runner sets a new one before each test.
         tell: called with a failure that takes long to be made smaller.
         near: largest error / bound of each output in the last case.
-        answered: the largest cases of this test that were compared with the reference, and the port's answers.
+        answers: the largest cases of this test that were compared with the reference, and the port's answers.
     """
 
     def __init__(

@@ -373,7 +373,7 @@ def read_array(path: Path) -> AnyArray:
 
 
 def _others(folder: Path) -> str:
-    """What stands in a folder in the place of a missing file: a porter's own spelling of its name."""
+    """The names in a folder, for the message on a missing file: a porter may have spelled its name in another way."""
     if not folder.is_dir():
         return f"there is no folder {folder.name}"
     names = sorted(each.name for each in islice(folder.iterdir(), MOST_NAMES))

@@ -39,9 +39,9 @@ class PortError(RuntimeError):
 
 @contextmanager
 def foreign_code() -> Generator[None, None, None]:
-    """Run code of a port: it is foreign, and whatever it raises but an interrupt is its failure on this case.
+    """Run code of a port: it is foreign, and every exception except an interrupt is its failure on this case.
 
-    What it sets for NumPy's errors does not outlast it.
+    Its settings for NumPy's errors end with it.
 
     Raises:
         PortError: the code raised something.

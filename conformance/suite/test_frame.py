@@ -82,7 +82,7 @@ def test_every_buffer_of_every_frame_counts(judge: Judge, case: tuple[Inputs, We
 
 @cases_of(near_frames())
 def test_comparisons_need_all_bits(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
-    """What a surface's depth, view or normal has lost in fewer bits than float32's decides a hole, or which surface fills it."""
+    """The last bits of a surface's depth, view or normal in float32 decide a hole, or which surface fills it."""
     yield from judge.agrees("frame", *case)
 
 

@@ -37,7 +37,7 @@ def test_agrees_near_the_thresholds(judge: Judge, inputs: Inputs) -> Talk:
 
 @cases_of([hardly_far, hardly_turned])
 def test_comparisons_need_all_bits(judge: Judge, inputs: Inputs) -> Talk:
-    """What a surface's depth, view or normal has lost in fewer bits than float32's decides a hole."""
+    """The last bits of a surface's depth, view or normal in float32 decide a hole."""
     yield from judge.agrees("holes", inputs)
 
 

@@ -21,7 +21,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let index = p.y * frame.width + p.x;
     let moved = motion[(p.y / 2) * (frame.width / 2) + p.x / 2];
     let taps = follow(p, 2.0 * moved, frame);
-    // Of the newer, of the older; less of what moves by more than 4 pixels.
+    // Of the newer, of the older; less where a surface moves by more than 4 pixels.
     let share = select(0.25, 0.125, frame.choice != 0) * 16.0 / max(16.0, dot(moved, moved));
     let first = max(p - 1, vec2<i32>(0));
     let last = min(p + 1, vec2<i32>(frame.width, frame.height) - 1);

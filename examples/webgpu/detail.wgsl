@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
-// The second colour "detail" (docs/stages.md): what warped frames show within a pixel. Vectors of four are its quarters: upper left, upper right,
-// lower left, lower right.
+// The second colour "detail" (docs/stages.md): differences within a pixel, as warped frames show them. Vectors of four are its quarters:
+// upper left, upper right, lower left, lower right.
 
 struct Quarters { sums: vec4<f32>, totals: vec4<f32> }
 
@@ -44,7 +44,7 @@ fn add_samples(@builtin(global_invocation_id) id: vec3<u32>) {
     quarters[index].totals += nw + ne + sw + se;
 }
 
-// Half of what the right quarters have more than the left, and the lower than the upper; what all have more than the first colour.
+// Half the difference of the right and the left quarters; that of the lower and the upper; the mean of all less the first colour.
 @compute @workgroup_size(8, 8)
 fn show_detail(@builtin(global_invocation_id) id: vec3<u32>) {
     let p = vec2<i32>(id.xy);

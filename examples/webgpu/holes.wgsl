@@ -38,7 +38,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         near = bias >= 0.0 && is_near(oa, bias * bias) && is_near(ob, bias * bias) && is_near(oc, bias * bias) && is_near(od, bias * bias);
     }
 
-    // Turned away: by 60 degrees, or what moves by 11. The divisor is the length of the earlier normal alone. Two normals of 0 are no surface.
+    // Turned away: by 60 degrees, or a moving surface by 11. The divisor is the length of the earlier normal alone. Two normals of 0 are no surface.
     let length = sqrt(normal.x * normal.x + normal.y * normal.y + normal.z * normal.z);
     let cosine = (here.normal.x * normal.x + here.normal.y * normal.y + here.normal.z * normal.z) / (length + 1e-5);
     let surface = any(normal != vec3<f32>(0.0)) || any(here.normal != vec3<f32>(0.0));

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT
-// Whatever copies: changes of size (docs/stages.md, resample), and inputs put side by side. A concatenation is several such copies.
+// All copies: changes of size (docs/stages.md, resample), and inputs put side by side. A concatenation is several such copies.
 
 struct Copy {
     width: i32, height: i32, channels: i32,                // of what is read

@@ -16,7 +16,7 @@ BEND = 0.3
 EDGES = 50
 """Fewest edges that allow a judgement."""
 TIMES = 2.0
-"""A plane is late if so many times more of its edges are the previous frame's than its own. Found: 2.6 and more where it is, 0.4 and
+"""A plane is late if more of its edges are the previous frame's than its own by this factor. Found: 2.6 and more where it is, 0.4 and
 less where it is not, in the reference films and the scenes of the judge. Normals are nearest, since they have edges within surfaces."""
 SHARE = 0.35
 """And if more than this share of the edges that are not its own are the previous frame's. Found: 0.48 and more where it is late, 0.28 and

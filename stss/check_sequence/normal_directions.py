@@ -88,7 +88,7 @@ def _normals_of(position: Image) -> tuple[Image, Mask]:
 
 
 def _directions(stored: Array, right: Array, pixels: float) -> tuple[Array, Array]:
-    """(N, 3) unit means of both, one for each of the six directions of the axes that so many of the normals ``right`` are nearest to."""
+    """(N, 3) unit means of both, one for each of the axes' six directions that is nearest to at least ``pixels`` of ``right``."""
     axis = np.abs(right).argmax(axis=-1)
     direction = 2 * axis + (np.take_along_axis(right, axis[:, None], axis=-1)[:, 0] < 0)
     groups = [direction == k for k in range(6) if (direction == k).sum() >= pixels]

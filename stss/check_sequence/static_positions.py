@@ -158,12 +158,12 @@ class StaticGeometry:
 
     @property
     def _has_motion(self) -> bool:
-        """Whether the motion of what is infinitely far can be judged by itself."""
+        """Whether the motion of infinitely far points can be judged by itself."""
         of = self.positions
         return of is None or of.agrees or (of.residual > LOOSE)
 
     def left_of(self, lines: list[Line]) -> list[Line]:
-        """What to say of findings about motion by other planes: one mistake has one name."""
+        """The ``lines`` about motion by other planes that remain beside the verdict by positions: one mistake has one name."""
         if self.positions is None or not self.blames_motion:
             return lines
         return [] if self.positions.motion else [line for line in lines if line[0] == "warning"]
@@ -174,7 +174,7 @@ class StaticGeometry:
         return [
             *([("warning", f"{repetition}; every display frame needs its own G-buffer")] if self.repeats else []),
             *late_lines(self.late),
-            *([] if "position" in self.late else self._by_positions()),  # they are not those of what is static now
+            *([] if "position" in self.late else self._by_positions()),  # they are not those of the surfaces that are static now
         ]
 
     def _by_positions(self) -> list[Line]:

@@ -42,11 +42,11 @@ def accumulate_arrays(image: Image, earlier: Sequence[Image], motions: Sequence[
 
 @dataclass(frozen=True)
 class _Kept:
-    """What is kept of a display frame.
+    """The images of a display frame that are kept.
 
     Attributes:
         image: as the backend made it.
-        again: what was shown, if ``image`` is that of two frames before and nothing moved since; else None.
+        again: the image that was shown, if ``image`` is that of two frames before and nothing moved since; else None.
     """
 
     image: BackendImage
@@ -66,7 +66,7 @@ class Accumulation:
         self.name, self.method = backend.name, f"{backend.method}, accumulate"
         self._backend, self._accumulate = backend, accumulate
         self._frames: dict[int, _Kept] = {}
-        """The id of each of the last two frames of each sequence under way -> what is kept of it; gone with the frame."""
+        """Id of a frame -> its images, for the last two frames of each sequence under way; an entry goes with its frame."""
 
     @property
     def cost(self) -> Cost | None:
@@ -104,7 +104,7 @@ class Accumulation:
             return image, False
         again = len(earlier) == EARLIER and _is_same(image, earlier[1].image) and self._rests()
         if again and earlier[0].again is not None and (shown := earlier[1].again) is not None:
-            return shown, True  # what it is made of is that of two frames before
+            return shown, True  # its three images are those of two frames before
         motions = [frame.motion for frame in window[: -1 - len(earlier) : -1]]
         return self._accumulate(image, [each.image for each in earlier], motions), again
 
@@ -113,7 +113,7 @@ class Accumulation:
         return cost is not None and cost.network == "none"
 
     def _made(self, window: Sequence[DisplayFrame]) -> _Kept | None:
-        """What is kept of the last frame of ``window``, computed if need be; None where it has no output."""
+        """The images of the last frame of ``window``, computed if need be; None where it has no output."""
         if (kept := self._frames.get(id(window[-1]))) is not None:
             return kept
         if (schedule := schedule_of(window)) is None:

@@ -30,7 +30,7 @@ _USUAL_SPACES = {
 }
 """Suffix -> the colours of files without a tag, and its names in tags."""
 DIFFERENCES = {"chromaticities": "not converted", "colours": "not converted", "data windows": "black outside of them"}
-"""What may differ between output and truth -> how they are compared all the same."""
+"""Property that may differ between output and truth -> how they are compared all the same."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Pair:
         holes: the file of its warping holes; None without one.
         static_holes: the share of its static surfaces that are holes, where the file says it.
         made_with: method, weights, backend and transfer, as far as the file names them.
-        differences: what both files say of themselves -> the output's words and the truth's, where they differ: `DIFFERENCES`.
+        differences: name of `DIFFERENCES` -> the output's words and the truth's, where they differ.
         non_finite: values that are not finite: "refuse" them, or "mask": 0.
     """
 
@@ -199,7 +199,7 @@ def _kind_and_transfer(path: Path, attributes: Mapping[str, Value]) -> tuple[str
 
 
 def _differ(output: Header, truth: Header) -> dict[str, tuple[str, str]]:
-    """The words of both files on what differs, by the names of `DIFFERENCES`."""
+    """The words of both files where they differ, by the names of `DIFFERENCES`."""
     found: dict[str, tuple[str, str]] = {}
     ours, theirs = chromaticities(output.attributes), chromaticities(truth.attributes)
     spaces = _space(output), _space(truth)

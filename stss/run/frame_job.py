@@ -32,7 +32,7 @@ from stss_ref.schedule import FrameKind
 HOLES = "holes"
 """Subfolder of the run's folder: the warping holes."""
 SETTINGS = ("spec", "method", "weights", "transfer", "highlights", "depth", "profile", "background", "static")
-"""Of a frame's metadata: what all frames of one run have in common."""
+"""The entries of a frame's metadata that all frames of one run have in common."""
 STATIC_HOLES = "stss:static-holes"
 """Metadata of an EF: `stss.frames.static_holes.static_holes`."""
 Outcome = Literal["done", "kept", "left out"]
@@ -260,7 +260,7 @@ def already_written(folder: OutputFolder, options: RunOptions, number: int, key:
 
 
 def settings_of(metadata: Mapping[str, Value], suffix: str, names: tuple[str, ...] = SETTINGS) -> dict[str, str]:
-    """What all frames of one run have in common, by the metadata of a frame and its file's suffix, without a dot."""
+    """The entries that all frames of one run have in common, by the metadata of a frame and its file's suffix, without a dot."""
     return {name: str(metadata.get(f"stss:{name}", "none")) for name in names} | {"format": suffix}
 
 
@@ -277,7 +277,7 @@ def require_one_run(folder: OutputFolder, options: RunOptions, metadata: Mapping
     Args:
         folder: the run's; nothing is written.
         options: the user's choices.
-        metadata: of the frames to write, see `describe`; what is empty is not compared.
+        metadata: of the frames to write, see `describe`; empty entries are not compared.
 
     Raises:
         InputError: one has other settings: the film would change its look within a shot.

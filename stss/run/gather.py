@@ -32,7 +32,7 @@ _FRAME = re.compile(r"frame\.(-?\d+)\.\w+")
 MOST_LISTED = 8
 """Most frames that are listed as missing."""
 MADE_BY = ("backend", "version")
-"""What may differ, with the last bits of the pictures."""
+"""Entries that may differ, with the last bits of the pictures."""
 
 
 class Content(NamedTuple):

@@ -55,7 +55,7 @@ class CameraPose:
 
 
 def _is_last(row: Array) -> bool:
-    """Whether it is 0, 0, 0, 1 but for the rounding of whoever inverted the matrix."""
+    """Whether it is 0, 0, 0, 1 but for the rounding of the program that inverted the matrix."""
     return bool(np.abs(row - (0, 0, 0, 1)).max() <= ROUNDING)
 
 

@@ -182,7 +182,7 @@ class MissingBuffersError(InputError):
 
 
 def _missing_buffer(profile: Profile, buffer: str, free: Collection[str]) -> str:
-    """What a profile expects for a buffer, and which of the channels that no other buffer takes has a like name."""
+    """A profile's names for a buffer, and the channel of a like name among those that no other buffer takes."""
     alternatives = profile.channels[buffer]
     expected_names = " or ".join(_together(names) for names in alternatives) or "a constant"
     endings = " or ".join(f"NAME{ending}.NNNN.exr" for ending in profile.files_of(buffer) if ending)

@@ -88,7 +88,7 @@ def numbered_files(paths: Iterable[Path], end: str = "") -> list[NumberedFile]:
 
 
 class Pattern(NamedTuple):
-    """What stands before and behind the number in the names of a sequence, the latter without the suffix."""
+    """The parts before and behind the number in the names of a sequence, the latter without the suffix."""
 
     before: str
     after: str

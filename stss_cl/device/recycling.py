@@ -21,7 +21,7 @@ class Recycler:
     """Blocks of the host's memory. Any thread may take one or give one back.
 
     Args:
-        make: makes a block of so many bytes.
+        make: makes a block of a number of bytes.
         most: unused blocks that are kept; of more, those that were not taken for the longest time go.
     """
 

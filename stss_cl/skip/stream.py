@@ -220,7 +220,7 @@ class Stream:
             staging(self.device).uploads.finish()
 
     def motion_on_device(self, motion: Array) -> Plain:
-        """The array, or on a GPU what was uploaded of it, if it is the motion of a frame of the last window. Until the next call."""
+        """The array, or on a GPU its uploaded copy, if it is the motion of a frame of the last window. Until the next call."""
         buffer = None if self.device.is_cpu or self._uploaded is None else self._uploaded.find_motion(motion)
         return motion if buffer is None else cla.Array(self.device.queue, motion.shape, motion.dtype, data=buffer)
 

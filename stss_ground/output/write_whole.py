@@ -41,7 +41,7 @@ def write_named(path: Path, data: bytes | str) -> None:
 
     Args:
         path: the file.
-        data: bytes; text is written as UTF-8, and what is no character (half of a pair) as an escape.
+        data: bytes; text is written as UTF-8, and half of a surrogate pair, which is no character, as an escape.
 
     Raises:
         InputError: it can't be written.

@@ -24,8 +24,8 @@ def fxaa(image: Image) -> Image:
 
     A pixel is on an edge where the luma of its neighbourhood varies. The edge lies between it and the neighbour across with the
     larger gradient; both ends are looked for along it. With distances ``a <= b`` to the ends, the share ``1/2 - a / (a + b)`` of that
-    neighbour is mixed in, if the nearer end is such that the edge crosses the pixel; or, for dots and thin lines, what the pixel's
-    contrast to all eight neighbours gives, if that is more.
+    neighbour is mixed in, if the nearer end is such that the edge crosses the pixel; or, for dots and thin lines, the share by
+    the pixel's contrast to all eight neighbours, if that is larger.
 
     Source: Lottes, FXAA, NVIDIA 2009; the steps and constants of FXAA 3.11, Quality, preset 12, its 1.5 pixels taken as 1.
 

@@ -118,7 +118,7 @@ def open_method(
     """
     if method in CHANGES:
         part = WithoutPart(loaded.weights, method)
-        # Mixed where the whole network is: else the mixing would seem to be what the part brings.
+        # Mixed where the whole network is: otherwise the gain by mixing would count as the part's.
         return Accumulation(part, accumulate_arrays) if accumulates(loaded, options) else part, loaded.label
     if method != NETWORK:
         return MethodBackend(method), NO_WEIGHTS

@@ -2,8 +2,8 @@
 """ExtraNet with its authors' own weights: ``Model/medieval.pth.tar`` of github.com/fuxihao66/ExtraNet, which names no licence.
 
 It is fetched to be measured and never copied. The module is written from the paper and the tensors' names. They trained on one scene of
-Unreal; what a frame of ours becomes follows their loader and their inference: linear colour by base colour (0 where that is 0),
-``log(1 + x)``; depth 0 and normal -1 in the sky. The sky, and what has no base colour, keeps the warped colour, where theirs is given.
+Unreal; a frame of ours is converted as by their loader and their inference: linear colour by base colour (0 where that is 0),
+``log(1 + x)``; depth 0 and normal -1 in the sky. The sky, and surfaces without base colour, keep the warped colour, where theirs is given.
 """
 
 from __future__ import annotations

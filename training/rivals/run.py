@@ -60,6 +60,7 @@ class Chain(OnHost):
     """One of `CHAINS` as a `stss.frames.backends.Backend`, for one run.
 
     Args:
+        method: its name.
         networks: those that it needs, by name: ``extranet``, ``nsrr``, ``authors``.
         rendered: the rendered small frame of a number, display-referred; None: there is none.
         theirs: ExtraNet's authors' EF, see `training.rivals.authors.extrapolate`.

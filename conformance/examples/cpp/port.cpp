@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT
 // All stages of STSS in plain C++17: the program `port JOB` of docs/ports.md, to be read by somebody who writes one of their own.
 //
-// From top to bottom: images, the stages in image space, convolutions, the network's stages, a whole frame; then what has nothing
+// From top to bottom: images, the stages in image space, convolutions, the network's stages, a whole frame; then code that has nothing
 // to do with STSS: .npy and safetensors files, the job folder. docs/stages.md says what each stage is for; a function has the
 // stage's name. Everything is float32. In image space operations stand in the reference's order, so that its float32 results come
 // out bit for bit; the network's sums are in another order, and differ in the last digits.
@@ -93,7 +93,7 @@ static Image times_mask(Image image, const Image &mask) {
 
 static bool is_finite(const float *motion) { return std::isfinite(motion[0]) && std::isfinite(motion[1]); }
 
-// Where a motion leads along one axis: a whole pixel, not clamped into the frame, and what lies between it and the next.
+// Where a motion leads along one axis: a whole pixel, not clamped into the frame, and a fraction of the way to the next.
 struct Along {
     int whole;
     float fraction;
@@ -167,7 +167,7 @@ static std::array<float, 2> gather(const Image &motion, const Place &to) {
     return longest;
 }
 
-// One frame further back: m_{j+1}(p) = m_j(p) + gather(earlier, p + m_j(p)). What is not finite stays so.
+// One frame further back: m_{j+1}(p) = m_j(p) + gather(earlier, p + m_j(p)). A motion that is not finite stays so.
 static Image chain_step(const Image &chained, const Image &earlier) {
     Image next(chained.height, chained.width, 2);
     each_pixel(next, [&](int y, int x) {
@@ -205,7 +205,7 @@ static std::pair<Image, Mask> warp(const Image &color, const Image &motion) {
 constexpr float FOOTPRINTS = 1.5f, FACING = 7.5f, GRAZING = 45.0f, PER_DEPTH = 50.0f, MESH = 1.0f;  // three in cm
 constexpr float COSINE = 0.98f, STATIC_COSINE = 0.5f;
 
-// What the hole test reads of the current frame and of an earlier one.
+// The values of the current frame and of an earlier one that the hole test reads.
 struct Surface {
     Image stencil, normal, position;
 };
@@ -432,13 +432,13 @@ static Image accumulate(const Image &image, const std::vector<Image> &earlier, c
 
 // ---- Convolution ----
 
-// What is wrong with a job: one line that names the file, and status 2.
+// A fault of a job: one line that names the file, and status 2.
 [[noreturn]] static void refuse(const fs::path &path, const std::string &what) {
     throw std::runtime_error(path.string() + ": " + what);
 }
 
 // Output channels that are computed together: a loop over so many becomes vector instructions. Weights of channels beyond the
-// last are 0, and what they give is not written.
+// last are 0, and their results are not written.
 constexpr int LANES = 8;
 
 struct Layer {
@@ -506,7 +506,7 @@ static float sigmoid(float x) {
     return (x >= 0.0f ? 1.0f : small) / (1.0f + small);
 }
 
-// What the layers give, for the judge to say where a wrong answer begins; nothing is kept unless a case asks for it (run_case).
+// The results of layers, for the judge to name the one at which a wrong answer begins; nothing is kept unless a case asks for it (run_case).
 // Of a layer that runs for each of the three earlier frames there are three.
 static std::map<std::string, std::vector<Image>> *layers_asked = nullptr;
 
@@ -536,7 +536,7 @@ static Image conv_chain(Image x, const Weights &weights, const std::string &name
 
 // ---- Changes of size ----
 
-// What an output row or column reads: two input rows or columns, and where between them it lies.
+// The reading of an output row or column: two input rows or columns, and its place between them.
 struct Between {
     int low, high;
     float t;
