@@ -24,8 +24,10 @@ convolution of stride 1 counts 4 times, at an eighth of the size twice: 230.
 STEP = 32
 """Strips begin at multiples of this: Winograd's tiles of 4 pixels at 1/8 size then lie as in the whole frame."""
 
-BASE, IMAGE, PREPARE = 16, 48, 3 * 8 + 2 * 4 + 1
-"""Bytes for each pixel: of the decoder's base; of the image; of motions, splat and holes (``stss_cl.image_space.prepare``)."""
+BASE, IMAGE = 16, 48
+"""Bytes for each pixel: of the decoder's base; of the image."""
+MOTIONS, HOLES = 3 * 8, 16 + 2
+"""The same for ``stss_cl.image_space.prepare``: of motions; of samples for holes (a splat takes less), the mask and dirty tiles."""
 WEIGHTS = 8 << 20
 """Bytes of the weights, transformed for Winograd; rounded up."""
 
@@ -49,12 +51,17 @@ def bytes_for(rows: int, height: int, width: int, dtype: DTypeLike, *, keep: boo
         keep: whether each layer keeps its output, with a change map.
         plan: of the network; None: the one that takes most.
     """
-    total = rows * width * BASE + height * width * (IMAGE + PREPARE) + WEIGHTS
+    total = rows * width * BASE + height * width * IMAGE + bytes_to_prepare(height, width) + WEIGHTS
     for slot in (plan or _largest(keep)).slots:
         size = rows // slot.divisor, width // slot.divisor, slot.channels
         total += whole_pages(padded_bytes(*size, np.dtype(dtype), slot.images))
         total += keep * map_bytes(*size[:2], slot.images)
     return total
+
+
+def bytes_to_prepare(height: int, width: int) -> int:
+    """Bytes of the buffers of ``stss_cl.image_space.prepare``, whatever fills the holes, without the network's inputs."""
+    return whole_pages(height * width * MOTIONS) + height * width * HOLES
 
 
 @cache

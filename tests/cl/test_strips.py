@@ -10,13 +10,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from stss_cl.device import amx
+from stss_cl.device.buffers import inputs_for
 from stss_cl.device.grid import ceil8
 from stss_cl.frame import Frame
+from stss_cl.image_space.prepare import Prepare, PrepareOptions
 from stss_cl.network.layer_builder import dtype_of
 from stss_cl.network.network import Network
-from stss_cl.network.strips import OVERLAP, STEP, bytes_for, rows_within, strips
+from stss_cl.network.strips import OVERLAP, STEP, bytes_for, bytes_to_prepare, rows_within, strips
 from stss_cl.skip.stream import Stream
 from stss_ground.errors import DeviceError
+from stss_ref.constants import HOLE_FILLS
 from stss_ref.frame import frame as reference_frame
 from stss_ref.weights import LAYERS, Weights
 from stss_ref.weights import random as random_weights
@@ -98,6 +101,22 @@ def test_the_limit_counts_what_is_allocated(device, monkeypatch, precision, size
         assert byte_sum <= byte_count
     slack = 2 * (2 * 8 << 20)
     assert byte_sum >= 0.7 * byte_count - slack
+
+
+@pytest.mark.parametrize("hole_fill", HOLE_FILLS)
+def test_the_limit_counts_the_buffers_before_the_network(device, monkeypatch, hole_fill):
+    """Shipped weights fill holes by samples, which take twice the memory of a splat."""
+    size, sizes = (272, 480), []
+
+    class Buffer(cl.Buffer):
+        def __init__(self, context, flags, size=0, hostbuf=None):
+            super().__init__(context, flags, size, hostbuf=hostbuf)
+            sizes.append(self.size)
+
+    inputs = inputs_for(device, *size, np.dtype(np.float32))
+    monkeypatch.setattr(cl, "Buffer", Buffer)
+    Prepare(device, *size, PrepareOptions(hole_fill=hole_fill), inputs=inputs)
+    assert sum(sizes) <= bytes_to_prepare(*size)
 
 
 @ALL_LAYERS
