@@ -44,9 +44,10 @@ BOUNDS = {
     "dot": Bound(4, 0, "three products and their sum; scale: on absolute values"),
     "own": Bound(8, 0, "up to three sums, a quotient or a product with one; scale: the largest sample"),
     "like": Bound(
-        80,
+        110,
         0,
-        "weights 36: colours 3, normals 5 or distance 0, sum 2, power 4 times and 3, quotient 5; product, quotient 5",
+        "weights 36, twice: colours 3, normals 5 or distance 0, sum 2, power 4 times and 3, quotient 5; brightness 7, four times: sum, "
+        "root 6; products 5, quotient 5",
     ),
     "layer": Bound(2, 0, "gamma_n: n = products in one sum, and these for bias and activation; scale: weights (backward error)"),
     "layer.float16": Bound(3, 0, "activation, weight and result stored once each in float16; sums as in float32"),

@@ -47,9 +47,7 @@ kernel void reshade(global const float *restrict warped, global const uchar *res
         if (samples[pixel].w > 0.0f)
             c = samples[pixel].xyz;
         else {
-            const float3 own_normal = read3(normal, pixel), own_base_color = read3(base_color, pixel);
-            float3 sum = (float3)(0.0f);
-            float total = 0.0f;
+            Light light = no_light(s, pixel);
             for (int step = 1; step <= LARGEST_STEP; step *= 2)
                 for (int j = -REACH; j <= REACH; ++j)
                     for (int i = -REACH; i <= REACH; i += place_stride(j)) {
@@ -57,12 +55,10 @@ kernel void reshade(global const float *restrict warped, global const uchar *res
                         if (u < 0 || u >= width || v < 0 || v >= height) continue;
                         const int other = v * width + u;
                         if (stencil[other] != stencil[pixel] || !(valid[other] || samples[other].w > 0.0f)) continue;
-                        const int away = (u - x) * (u - x) + (v - y) * (v - y);
-                        const float weight = likeness(s, other, own_normal, own_base_color, away);
-                        sum += weight * (valid[other] ? not_negative(read3(warped, other)) : samples[other].xyz);
-                        total += weight;
+                        add_source(&light, s, other, (u - x) * (u - x) + (v - y) * (v - y),
+                                   valid[other] ? not_negative(read3(warped, other)) : samples[other].xyz);
                     }
-            if (total > 0.0f) c = sum / total;
+            if (light.total.x > 0.0f) c = lit(light);
         }
     }
     vstore3(c, pixel, filled);

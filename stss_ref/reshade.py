@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Stage reshade: the colour of warping holes, from samples of their own surface, else from like materials around."""
+"""Stage reshade: the colour of warping holes, from samples of their own surface, else in the light of like materials around."""
 
 from __future__ import annotations
 
@@ -19,10 +19,14 @@ REACH = 2
 """Places from a hole to the sides of the square rings at which it looks for like materials."""
 STEPS = 1, 2, 4, 8, 16, 32
 """Pixels from place to place of each ring: a hole may be as wide as the motion is long, and colours beside it are mixed."""
-BASE_COLOR, NORMAL = 8.0, 2.0
-"""Factors of the difference of base colours, and of the squared difference of normals, in a weight."""
+NORMAL = 2.0
+"""Factor of the squared difference of normals in a weight; that of the difference of base colours is 1."""
 DISTANCE = 0.25
 """Factor of the squared distance, in pixels, in a weight on a background, which has neither."""
+FLOOR = 2.0**-6
+"""What a surface of black base colour still reflects, as a base colour."""
+UNMIXED = 0.25
+"""Smallest squared length of the normal of one surface. A shorter one is a mean with a background, and so is its base colour."""
 
 
 def reshade(
@@ -41,12 +45,13 @@ def reshade(
     """Fill the warping holes of the earlier frame.
 
     A hole ``p`` takes the mean of its own samples: those of the four earlier pixels around ``p + motion(p)`` that show its surface
-    (`shows_surface`). A hole that has none takes ``sum w(q) c(q) / sum w(q)`` over the pixels ``q = p + s (i, j)`` of its object, of
-    each ``s`` of ``STEPS`` and all whole ``i`` and ``j`` with ``max(|i|, |j|) = REACH``, that are no holes, where ``c`` is the warped
-    colour, or holes with samples of their own, where ``c`` is their mean;
-    ``w(q) = (1 + 8 |b(q) - b(p)|_1 + 2 |n(q) - n(p)|^2)^-4`` with base colour ``b`` and normal ``n``. A background, whose normal is 0,
-    takes from background alone, the nearer the more: ``w(q) = (1 + 8 |b(q) - b(p)|_1 + |q - p|^2 / 4)^-4``. Without any it stays as it
-    is warped. Colours below 0 count as 0.
+    (`shows_surface`). A hole that has none takes ``a(p) l`` with the light ``l`` for which ``sum w(q) (a(q) l - c(q))^2`` is least,
+    ``sum w(q) a(q) c(q) / sum w(q) a(q)^2``, over the pixels ``q = p + s (i, j)`` of its object, of each ``s`` of ``STEPS`` and all
+    whole ``i`` and ``j`` with ``max(|i|, |j|) = REACH``, that are no holes, where ``c`` is the warped colour, or holes with samples of
+    their own, where ``c`` is their mean. ``a`` is what the base colour ``b`` makes of light (`brightness`), and 1 for all ``q`` of a
+    hole that `is_mixed`; ``w(q) = (1 + |b(q) - b(p)|_1 + 2 |n(q) - n(p)|^2)^-4`` with the normal ``n``. A background, whose
+    normal is 0, takes from background alone, the nearer the more: ``w(q) = (1 + |b(q) - b(p)|_1 + |q - p|^2 / 4)^-4``. Without any it
+    stays as it is warped. Colours below 0 count as 0.
 
     Source: paper, Reshading (the light of valid neighbours, by how alike the materials are), here at full size; decision 38.
 
@@ -88,8 +93,9 @@ def reshade(
     is_source[y[has], x[has]] = True
     y, x = y[~has], x[~has]
     sums, totals = like_sums(filled, is_source, stencil, normal, base_color, y, x)
-    has_source = totals > 0
-    filled[y[has_source], x[has_source]] = sums[has_source] / totals[has_source, None]
+    has_source = totals[:, 0] > 0
+    y, x = y[has_source], x[has_source]
+    filled[y, x] = brightness(base_color[y, x], is_mixed(normal[y, x])) * sums[has_source] / totals[has_source]
     return filled
 
 
@@ -148,7 +154,7 @@ def shows_surface(
 def like_sums(
     color: Image, is_source: Mask, stencil: Plane, normal: Image, base_color: Image, y: Index, x: Index
 ) -> tuple[Array, Array]:
-    """The weighted sum of the sources around each pixel, (N, 3), and the sum of their weights, (N,), ring by ring and row by row.
+    """The sums ``w a c`` and ``w a^2`` of the sources around each pixel, (N, 3) both, ring by ring and row by row.
 
     Args:
         color: (H, W, 3) of the sources.
@@ -157,16 +163,17 @@ def like_sums(
         y, x: (N,) the pixels.
     """
     height, width = stencil.shape
-    sums, totals = np.zeros((len(y), 3), color.dtype), np.zeros(len(y), color.dtype)
-    background = is_background(normal)
+    sums, totals = np.zeros((2, len(y), 3), color.dtype)
+    background, mixed = is_background(normal), is_mixed(normal[y, x])
     for there, at in ring_rows((height, width), y, x):
         row, column = at
         counts = there & is_source[at] & (stencil[at] == stencil[y, x]) & (background[at] == background[y, x])
         away = background[y, x] * ((row - y) ** 2 + (column - x) ** 2).astype(color.dtype)
         weights = np.where(counts, likeness(base_color[at], base_color[y, x], normal[at], normal[y, x], away), 0)
-        for weight, light in zip(weights, color[at], strict=True):
-            sums += weight[:, None] * light
-            totals += weight
+        for weight, a, c in zip(weights, brightness(base_color[at], mixed), color[at], strict=True):
+            weight_a = weight[:, None] * a
+            sums += weight_a * c
+            totals += weight_a * a
     return sums, totals
 
 
@@ -188,14 +195,22 @@ def likeness(base_color: Array, own_base_color: Array, normal: Array, own_normal
     """
     apart = np.abs(base_color - own_base_color)
     with np.errstate(over="ignore"):
-        unlike = (
-            1
-            + BASE_COLOR * (apart[..., 0] + apart[..., 1] + apart[..., 2])
-            + NORMAL * squared(normal - own_normal)
-            + DISTANCE * away
-        )
+        unlike = 1 + (apart[..., 0] + apart[..., 1] + apart[..., 2]) + NORMAL * squared(normal - own_normal) + DISTANCE * away
         square = unlike * unlike
         return 1 / (square * square)
+
+
+def brightness(base_color: Array, mixed: Mask) -> Array:
+    """What base colours (..., N, 3) make of light 1 in display-referred colour: ``sqrt(min(max(b, 0), 1) + FLOOR)``.
+
+    A root, as display curves are near one. For those of N holes that are ``mixed`` (N,) it is 1, whatever the base colour.
+    """
+    return np.where(mixed[:, None], base_color.dtype.type(1), np.sqrt(np.clip(base_color, 0, 1) + base_color.dtype.type(FLOOR)))
+
+
+def is_mixed(normal: Array) -> Mask:
+    """(...) whether a normal (..., 3), and so a base colour, is a mean with a background's, or a background's."""
+    return np.asarray(squared(normal) < UNMIXED)
 
 
 def is_background(normal: Array) -> Mask:

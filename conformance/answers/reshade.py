@@ -12,7 +12,22 @@ from conformance.answers.expected import Expected
 from conformance.answers.holes import SMALL, Bool, Float64, Maybe, reach_of_footprints
 from conformance.answers.port_arithmetic import Arithmetic, Reach, reach
 from conformance.tolerance import BOUNDS
-from stss_ref.reshade import COSINE, FOOTPRINTS, REACH, STATIC_COSINE, STEPS, four_samples, is_background, reshade, ring_rows
+from stss_ref.holes import squared
+from stss_ref.reshade import (
+    COSINE,
+    FLOOR,
+    FOOTPRINTS,
+    REACH,
+    STATIC_COSINE,
+    STEPS,
+    UNMIXED,
+    brightness,
+    four_samples,
+    is_background,
+    is_mixed,
+    reshade,
+    ring_rows,
+)
 from stss_ref.sample import Index
 
 Pixels = tuple[Index, Index]
@@ -49,8 +64,9 @@ def expect_reshade(
     roundings[alone] = BOUNDS["like"].roundings + BOUNDS["own"].roundings + 2 * terms
     scale[alone] = around
     allowed = roundings * (arithmetic.unit * scale + arithmetic.tiny)
-    # Any mean lies within the colours, but for the roundings of the longest sum.
-    largest, most = max(color.max(), warped.max()), BOUNDS["like"].roundings + 2 * len(STEPS) * 8 * REACH
+    # The light of any sources gives no more than the brightest surface in that of the darkest, but for the roundings of the longest sum.
+    largest = max(color.max(), warped.max()) * np.sqrt(1 + 1 / FLOOR)
+    most = BOUNDS["like"].roundings + 2 * len(STEPS) * 8 * REACH
     allowed = np.where(undecided, largest * (1 + most * arithmetic.unit), allowed)[..., None] + arithmetic.flushed(warped)
     return {"reshade": Expected(want, allowed, free=undecided[..., None])}, undecided
 
@@ -100,18 +116,23 @@ def _shows(inputs: dict[str, NDArray[Any]], sample: Pixels, pixel: Pixels, arith
 def _around(
     inputs: dict[str, NDArray[Any]], is_source: Bool, peaks: Float64, undecided: Bool, pixels: Pixels, arithmetic: Arithmetic
 ) -> tuple[Float64, Float64, Bool]:
-    """Of each pixel, (N,): the number of sources around it, the largest of their colours, and whether one there is undecided.
+    """Of each pixel, (N,): the number of sources around it, the largest of their colours in its own material, and whether it is undecided.
 
-    So is one whose normal a port may take for 0.
+    It is if a source is, or if a port may take a normal for 0, or its own for a mixed one.
     """
-    stencil, background = inputs["stencil"], is_background(inputs["normal"])
-    hardly = ~background & (np.abs(inputs["normal"]).max(axis=-1) < arithmetic.tiny)
+    stencil, normal, base_color = inputs["stencil"], inputs["normal"], inputs["base_color"]
+    background = is_background(normal)
+    hardly = ~background & (np.abs(normal).max(axis=-1) < arithmetic.tiny)
     y, x = pixels
-    count, peak, doubts = np.zeros(len(y)), np.zeros(len(y)), np.zeros(len(y), bool)
+    mixed, length = is_mixed(normal[y, x]), squared(normal[y, x])
+    own = brightness(base_color[y, x], mixed)
+    doubts = np.abs(length - UNMIXED) <= BOUNDS["dot"].roundings * arithmetic.unit * length
+    count, peak = np.zeros(len(y)), np.zeros(len(y))
     for there, at in ring_rows(stencil.shape, y, x):
         counts = there & (stencil[at] == stencil[y, x])
         sources = counts & is_source[at] & (background[at] == background[y, x])
         count += sources.sum(axis=0)
-        peak = np.maximum(peak, np.where(sources, peaks[at], 0).max(axis=0))
+        brighter = (own / brightness(base_color[at], mixed)).max(axis=-1)
+        peak = np.maximum(peak, np.where(sources, peaks[at] * brighter, 0).max(axis=0))
         doubts |= (counts & (undecided[at] | hardly[at] | hardly[y, x])).any(axis=0)
     return count, peak, doubts

@@ -18,7 +18,7 @@ from conformance.cases.large_inputs import frame_case
 from conformance.cases.stage_inputs import Inputs, make_weights
 from stss_ref.constants import EARLIER_SHARES, SLOW, HoleLimits
 from stss_ref.holes import LEAST_LENGTH
-from stss_ref.reshade import COSINE, FOOTPRINTS, REACH, STATIC_COSINE, STEPS
+from stss_ref.reshade import COSINE, FOOTPRINTS, REACH, STATIC_COSINE, STEPS, UNMIXED
 from stss_ref.weights import Weights
 
 LIMITS = HoleLimits()
@@ -192,10 +192,23 @@ def _like(rng: Generator) -> Inputs:
     places = MIDDLE + np.array([[-2, 16, -32, 64], [1, -3, 6, -12], [20, -MIDDLE, MIDDLE, 0]])
     others, turned = MIDDLE - np.array([4, 8, 64]), MIDDLE + np.array([4, 8, 32])
     base_color[0, [*places.flat, *others, *turned]] = 0
-    base_color[0, others, 1], normal[0, turned, 0] = (0.03125, 0.125, 0.5), (0.25, 0.5, 1)
+    base_color[0, others, 1], normal[0, turned, 0] = (0.03125, 0.125, 1.5), (0.25, 0.5, 1)
     valid = inputs["valid"] + 1
     valid[0, MIDDLE] = 0
     return inputs | {"warped": rng.random((1, width, 3)), "valid": valid, "base_color": base_color, "normal": normal}
+
+
+def _mixed(rng: Generator) -> Inputs:
+    """Rows of one object each; each has a hole, whose normal is near the limit of a mixed one's, among other materials."""
+    squares = np.array([UNMIXED * (1 + sign * close) for close in CLOSE for sign in (-1, 1)])
+    row, shape = _like(rng), (squares.size, 1, 1)
+    inputs = {name: np.repeat(array, squares.size, axis=0) for name, array in row.items()}
+    objects = np.arange(1.0, squares.size + 1)[:, None] + np.zeros(inputs["stencil"].shape)
+    return inputs | {
+        "normal": inputs["normal"] * np.sqrt(squares).reshape(shape),
+        "stencil": objects,
+        "stencil_previous": objects + 9,
+    }
 
 
 def _background(rng: Generator) -> Inputs:
@@ -285,8 +298,11 @@ CONSTANTS = (
     Constant("own samples' cosine, static", "0.5", "reshade", _own_cosine(STATIC_COSINE, 0)),
     Constant("places to the sides of a ring", "2", "reshade", _like),
     Constant("steps of the rings", "1, 2, 4, 8, 16, 32", "reshade", _like),
-    Constant("weight of base colours", "8", "reshade", _like),
+    Constant("weight of base colours", "1", "reshade", _like),
     Constant("weight of normals", "2", "reshade", _like),
+    Constant("least a base colour reflects", "0.015625", "reshade", _like),
+    Constant("most a base colour reflects", "1", "reshade", _like),
+    Constant("squared length of a mixed normal", "0.25", "reshade", _mixed),
     Constant("weight of distances on a background", "0.25", "reshade", _background),
     Constant("length of a background's own normal", "0", "reshade", _faint),
     Constant("power of a weight", "4", "reshade", _like),

@@ -157,7 +157,7 @@ def occlusion_inputs(draw: st.DrawFn, largest: int = 16, motion: str = "any") ->
 
 @st.composite
 def reshade_inputs(draw: st.DrawFn, largest: int = 20, color: str = "any") -> Inputs:
-    """Stage reshade: holes alone, in clumps and everywhere; samples near the limits of a surface; few materials or any."""
+    """Stage reshade: holes alone, in clumps and everywhere; samples near the limits of a surface; few materials, mixed ones, or any."""
     size = draw(sizes(largest))
     rng = np.random.default_rng(draw(SEEDS))
     stencil = _stencil(rng, size, draw(st.sampled_from(["ground", "one", "many"])))
@@ -172,9 +172,11 @@ def reshade_inputs(draw: st.DrawFn, largest: int = 20, color: str = "any") -> In
     aside = np.cross(normal, _unit(rng, size))
     cosine = np.where(stencil == 0, STATIC_COSINE, COSINE)[..., None]
     turned = normal * cosine + aside * (np.sqrt(1 - cosine**2) * rng.uniform(0.5, 1.5, (*size, 1)))
+    if draw(st.integers(0, 3)) == 0:
+        normal = normal * rng.choice([1.0, 0.75, 0.4, 0.125], (*size, 1))  # means with a background
     base_color = rng.random((*size, 3))
     if draw(st.booleans()):
-        base_color = rng.choice(np.array([0.0, 0.25, 1.0]), (*size, 3))
+        base_color = rng.choice(np.array(draw(st.sampled_from([(0.0, 0.25, 1.0), (-0.25, 0.0, 0.5, 2.0)]))), (*size, 3))
     return {
         "color": draw(colors(size, 3, color)),
         "warped": draw(colors(size, 3, color)),

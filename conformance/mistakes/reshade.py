@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from conformance.protocol.reference_copy import Copy, Mistake, change_arguments, fault, put, returns, wrap
-from stss_ref.reshade import REACH, STEPS
+from stss_ref.reshade import FLOOR, REACH, STEPS, UNMIXED
 
 Change = Callable[..., Any]
 _reshade = partial(fault, "reshade")
@@ -42,12 +42,42 @@ def _weights(name: str, what: str, weigh: Callable[[Any, Any, Any], Any]) -> Mis
 
 def _power(base: Any, normal: Any, away: Any, power: float = 4.0) -> Any:
     apart, turned = np.abs(base).sum(axis=-1), (normal * normal).sum(axis=-1)
-    return (1 + 8 * apart + 2 * turned + 0.25 * away) ** -power
+    return (1 + apart + 2 * turned + 0.25 * away) ** -power
+
+
+def _reflect(name: str, what: str, make: Callable[[Any], Any]) -> Mistake:
+    """Base colours make ``make`` of them of light 1."""
+
+    def wrong(base_color: Any, mixed: Any) -> Any:
+        return np.where(mixed[:, None], base_color.dtype.type(1), make(base_color))
+
+    return _reshade(name, what, put("reshade.brightness", wrong))
+
+
+def _mean_of_lights(copy: Copy) -> None:
+    """The light is the mean of the sources' lights: a dark source counts as much as a bright one."""
+    brightness = copy.get("reshade.brightness")
+
+    def like_sums(right: Change, color: Any, is_source: Any, stencil: Any, normal: Any, base_color: Any, y: Any, x: Any) -> Any:
+        light = color / brightness(base_color, np.zeros(base_color.shape[1], bool))
+        mixed = (normal[y, x] * normal[y, x]).sum(axis=-1) < UNMIXED
+        (plain, weights), (sums, totals) = (
+            _unlit(right, each, is_source, stencil, normal, base_color, y, x) for each in (color, light)
+        )
+        return np.where(mixed[:, None], plain, sums), np.where(mixed[:, None], weights, totals)
+
+    def _unlit(right: Change, *arguments: Any) -> Any:
+        copy.put("reshade.brightness", lambda base_color, mixed: np.ones_like(base_color))
+        got = right(*arguments)
+        copy.put("reshade.brightness", brightness)
+        return got
+
+    wrap("reshade.like_sums", like_sums)(copy)
 
 
 def _within_tile(right: Change, color: Any, is_source: Any, stencil: Any, normal: Any, base_color: Any, y: Any, x: Any) -> Any:
     """Windows end at the tiles of 8 x 8 that their pixels lie in."""
-    sums, totals = np.zeros((len(y), 3), color.dtype), np.zeros(len(y), color.dtype)
+    sums, totals = np.zeros((2, len(y), 3), color.dtype)
     for top, left in {(int(row), int(column)) for row, column in zip(y // 8 * 8, x // 8 * 8, strict=True)}:
         own, tile = (y // 8 * 8 == top) & (x // 8 * 8 == left), (slice(top, top + 8), slice(left, left + 8))
         planes = (plane[tile] for plane in (color, is_source, stencil, normal, base_color))
@@ -78,7 +108,8 @@ def _nearest(copy: Copy) -> None:
         for step in reversed(STEPS):
             copy.put("reshade.STEPS", (step,))
             own, total = right(*arguments)
-            sums[total > 0], totals[total > 0] = own[total > 0], total[total > 0]
+            found = total[:, 0] > 0
+            sums[found], totals[found] = own[found], total[found]
         copy.put("reshade.STEPS", STEPS)
         return sums, totals
 
@@ -179,8 +210,42 @@ RESHADE = (
     _weights(
         "signed", "base colours by their signed difference", lambda base, normal, away: _power(np.maximum(base, 0), normal, away)
     ),
+    _weights("base_colors_8", "base colours weigh eight times", lambda base, normal, away: _power(8 * base, normal, away)),
     _weights("near_as_far", "distance does not count", lambda base, normal, away: _power(base, normal, away * 0)),
     _weights("by_length", "distance, not its square", lambda base, normal, away: _power(base, normal, np.sqrt(away))),
+    _reflect("colors_not_light", "the mean of the sources' colours, not their light", np.ones_like),
+    _reflect("not_a_root", "colours as if they were linear", lambda base: np.clip(base, 0, 1) + base.dtype.type(FLOOR)),
+    _reflect("no_floor", "black reflects a millionth", lambda base: np.sqrt(np.clip(base, 1e-6, 1))),
+    _reflect(
+        "floor_outside", "the floor is added to the root", lambda base: np.sqrt(np.clip(base, 0, 1)) + base.dtype.type(0.125)
+    ),
+    _reflect("above_1", "base colours above 1 stay", lambda base: np.sqrt(np.maximum(base, 0) + base.dtype.type(FLOOR))),
+    _reflect(
+        "below_0",
+        "base colours below 0 by their absolute value",
+        lambda base: np.sqrt(np.minimum(np.abs(base), 1) + base.dtype.type(FLOOR)),
+    ),
+    _reflect(
+        "one_channel",
+        "the brightness of green for all channels",
+        lambda base: np.sqrt(np.clip(base[..., 1:2], 0, 1) + base.dtype.type(FLOOR)) + 0 * base,
+    ),
+    _reshade("mean_of_lights", "the mean of the sources' lights", _mean_of_lights),
+    _reshade(
+        "one_total",
+        "the first channel's sum of weights for all channels",
+        returns("reshade.like_sums", lambda got: (got[0], got[1][:, :1] + 0 * got[1])),
+    ),
+    _reshade(
+        "mixed_too",
+        "base colours of mixed pixels count",
+        put("reshade.is_mixed", lambda normal: np.zeros(normal.shape[:-1], bool)),
+    ),
+    _reshade(
+        "mixed_by_length",
+        "mixed is what has a normal shorter than 1/4",
+        put("reshade.is_mixed", lambda normal: np.asarray((normal * normal).sum(axis=-1) < UNMIXED**2)),
+    ),
     _reshade(
         "no_background",
         "a background is a surface like others",

@@ -53,10 +53,15 @@ fn likeness(index: i32, own: i32, away: i32) -> f32 {
     let background = is_none(now[own].normal);
     if (is_none(now[index].normal) != background) { return 0.0; }
     let apart = abs(base_color_at(index) - base_color_at(own));
-    let unlike = 1.0 + 8.0 * (apart.x + apart.y + apart.z) + 2.0 * squared(now[index].normal - now[own].normal)
+    let unlike = 1.0 + apart.x + apart.y + apart.z + 2.0 * squared(now[index].normal - now[own].normal)
         + select(0.0, 0.25 * f32(away), background);
     let square = unlike * unlike;
     return 1.0 / (square * square);
+}
+
+// What a base colour makes of light 1; 1 for holes whose own base colour is a mean with a background's.
+fn brightness(index: i32, is_mixed: bool) -> vec3<f32> {
+    return select(sqrt(clamp(base_color_at(index), vec3<f32>(0.0), vec3<f32>(1.0)) + 0.015625), vec3<f32>(1.0), is_mixed);
 }
 
 @compute @workgroup_size(8, 8)
@@ -67,8 +72,9 @@ fn like_materials(@builtin(global_invocation_id) id: vec3<u32>) {
     if (valid[index] != 0.0) { return; }
     var found = samples[index].xyz;
     if (samples[index].w == 0.0) {
+        let is_mixed = squared(now[index].normal) < 0.25;
         var sum = vec3<f32>(0.0);
-        var total = 0.0;
+        var total = vec3<f32>(0.0);
         for (var step = 1; step <= LARGEST_STEP; step *= 2) {
             for (var j = -REACH; j <= REACH; j++) {
                 for (var i = -REACH; i <= REACH; i += select(2 * REACH, 1, abs(j) == REACH)) {
@@ -80,13 +86,14 @@ fn like_materials(@builtin(global_invocation_id) id: vec3<u32>) {
                     if (now[other].stencil != now[index].stencil || !(is_valid || samples[other].w > 0.0)) { continue; }
                     let weight = likeness(other, index, (x - p.x) * (x - p.x) + (y - p.y) * (y - p.y));
                     let warped = vec3<f32>(filled[3 * other], filled[3 * other + 1], filled[3 * other + 2]);
-                    sum += weight * select(samples[other].xyz, warped, is_valid);
-                    total += weight;
+                    let a = brightness(other, is_mixed);
+                    sum += weight * a * select(samples[other].xyz, warped, is_valid);
+                    total += weight * a * a;
                 }
             }
         }
-        if (total == 0.0) { return; }
-        found = sum / total;
+        if (total.x == 0.0) { return; }
+        found = brightness(index, is_mixed) * sum / total;
     }
     filled[3 * index] = found.x;
     filled[3 * index + 1] = found.y;

@@ -162,7 +162,7 @@ def half_occlusion_warp(*arguments: Array, **more: Array) -> tuple[Array, Array]
 
 def other_likeness(base_color: Array, own_base_color: Array, normal: Array, own_normal: Array, away: Array) -> Array:
     apart = np.abs(base_color - own_base_color)[..., ::-1].sum(axis=-1)
-    unlike = 2 * ((normal - own_normal)[..., ::-1] ** 2).sum(axis=-1) + ((8 * apart + 1) + away / 4)
+    unlike = 2 * ((normal - own_normal)[..., ::-1] ** 2).sum(axis=-1) + ((apart + 1) + away / 4)
     return np.reciprocal(unlike * unlike * unlike * unlike)
 
 

@@ -11,11 +11,12 @@ from conformance.judging.findings import DepartureError
 from conformance.judging.judge import Judge
 from conformance.mistakes import find
 from conformance.mistakes.holes import limits
-from conformance.protocol.reference_copy import load, put, returns
+from conformance.protocol.reference_copy import change_arguments, load, put, returns
 from conformance.protocol.stages import STAGES
 from conformance.suite import test_occlusion_warp
 from conformance.suite.properties import find_property
 from stss.port import ReferencePort
+from stss_ref.reshade import FLOOR
 from tests.meta import right_ports
 from tests.tiers import every
 
@@ -38,6 +39,18 @@ def divide(change):
 
 def apart(times):
     return put("holes.objects_apart", lambda s, stencil: times * np.abs(s - stencil))
+
+
+def weigh_apart(times):
+    """Another weight of the difference of base colours."""
+    return change_arguments(
+        "reshade.likeness", base_color=lambda base_color, own_base_color: own_base_color + times * (base_color - own_base_color)
+    )
+
+
+def brightness(most):
+    """Base colours count up to another value."""
+    return put("reshade.brightness", lambda base, mixed: np.where(mixed[:, None], 1, np.sqrt(np.clip(base, 0, most) + FLOOR)))
 
 
 PLANTS = {
@@ -70,7 +83,10 @@ PLANTS = {
     "steps of the rings": [
         put("reshade.STEPS", x) for x in ((1, 2, 4, 8, 16), (2, 4, 8, 16, 32), (1, 2, 4, 8, 16, 31), (1, 2, 3, 4, 8, 16, 32))
     ],
-    "weight of base colours": [put("reshade.BASE_COLOR", x) for x in (7.9, 8.1, 0.0)],
+    "weight of base colours": [weigh_apart(x) for x in (0.95, 1.05, 0.0)],
+    "least a base colour reflects": [put("reshade.FLOOR", x) for x in (1 / 63, 1 / 65, 1e-6, float(np.float16(1e-2)))],
+    "most a base colour reflects": [brightness(x) for x in (0.95, 1.05, 8.0)],
+    "squared length of a mixed normal": [put("reshade.UNMIXED", x) for x in (0.249, 0.251, 0.0, 0.5)],
     "weight of normals": [put("reshade.NORMAL", x) for x in (1.95, 2.05, 0.0)],
     "power of a weight": [returns("reshade.likeness", lambda weight, p=p: weight**p) for p in (0.5, 0.99, 1.01)],
     "least length of a key": [

@@ -16,7 +16,7 @@ from stss_ref.depth import normalise_depth
 from stss_ref.holes import cosine, holes, squared_footprint
 from stss_ref.motion_chain import motion_chain
 from stss_ref.occlusion_warp import occlusion_warp, splat
-from stss_ref.reshade import COSINE, REACH, STEPS, four_samples, like_sums, likeness, reshade, shows_surface
+from stss_ref.reshade import COSINE, REACH, STEPS, brightness, four_samples, is_mixed, like_sums, likeness, reshade, shows_surface
 from stss_ref.rrm import draw_rectangle, rrm
 from stss_ref.sample import follow, leads_inside, taps
 from stss_ref.warp import warp
@@ -368,12 +368,12 @@ class TestReshade:
         assert rows_read == list(zip(map(int, there), rows, columns, strict=True))
 
     def around(self, lit, pixel, side=150):
-        """The sum and the weights around a pixel of sources of one material; ``lit``: place -> colour."""
-        color, is_source, plain = np.zeros((side, side, 3)), np.zeros((side, side), bool), np.full((side, side, 3), 0.5)
+        """The sum and the weights around a pixel of sources of one material, of brightness 1; ``lit``: place -> colour."""
+        color, is_source, white = np.zeros((side, side, 3)), np.zeros((side, side), bool), np.full((side, side, 3), 63 / 64)
         for at, value in lit.items():
             color[at], is_source[at] = value, True
-        sums, totals = like_sums(color, is_source, color[..., 0] * 0, plain, plain, *(np.array([n]) for n in pixel))
-        return sums[0, 0], totals[0]
+        sums, totals = like_sums(color, is_source, color[..., 0] * 0, white, white, *(np.array([n]) for n in pixel))
+        return sums[0, 0], totals[0, 2]
 
     @pytest.mark.parametrize("step", STEPS)
     def test_sources_lie_on_rings(self, step):
@@ -407,17 +407,34 @@ class TestReshade:
     @pytest.mark.parametrize(
         ("base", "own_base", "normal", "own", "weight"),
         [
-            ((0.5, 0.5, 0.5), (0.5, 0.5, 0.5), (0, 0, 1), (0, 0, 1), 1), ((0.5, 0, 0), (0.625, 0, 0), (0, 0, 1), (0, 0, 1), 1 / 16),
-            ((0, 0.5, 0), (0, 0.375, 0), (0, 0, 1), (0, 0, 1), 1 / 16), ((0, 0, 0.5), (0, 0, 0.375), (0, 0, 1), (0, 0, 1), 1 / 16),
-            ((0, 0, 0), (0, 0, 0), (0.5, 0.5, 1), (0, 0, 1), 1 / 16), ((0, 0, 0.125), (0, 0, 0), (1, 0, 0), (0.5, 0.5, 0), 1 / 81),
+            ((0.5, 0.5, 0.5), (0.5, 0.5, 0.5), (0, 0, 1), (0, 0, 1), 1), ((0, 0, 0), (1, 0, 0), (0, 0, 1), (0, 0, 1), 1 / 16),
+            ((0, 1, 0), (0, 0, 0), (0, 0, 1), (0, 0, 1), 1 / 16), ((0, 0, 0.5), (0.5, 0, 0.5), (0, 0, 1), (0, 0, 1), 1.5**-4),
+            ((0, 0, 0), (0, 0, 0), (0.5, 0.5, 1), (0, 0, 1), 1 / 16), ((0, 0, 1), (0, 0, 0), (1, 0, 0), (0.5, 0.5, 0), 1 / 81),
         ],
     )  # fmt: skip
     def test_the_weight_of_a_material(self, base, own_base, normal, own, weight):
-        """(1 + 8 sum |b| + 2 |n|^2)^-4, of differences."""
+        """(1 + sum |b| + 2 |n|^2)^-4, of differences."""
         materials = [np.array([each], np.float64) for each in (base, own_base, normal, own)]
         assert likeness(*materials, np.zeros(1))[0] == weight
         # A background's squared distance, with the rest.
         assert likeness(*materials, np.full(1, 4.0))[0] == (weight**-0.25 + 1) ** -4
+
+    @pytest.mark.parametrize(
+        ("base", "bright"),
+        [(-1, 1 / 8), (0, 1 / 8), (3 / 64, 1 / 4), (15 / 64, 1 / 2), (63 / 64, 1), (1, np.sqrt(65 / 64)), (7, np.sqrt(65 / 64))],
+    )
+    def test_what_a_base_colour_makes_of_light(self, base, bright):
+        """A root above a floor, within 0 and 1; nothing of a mixed pixel's."""
+        assert (brightness(np.full((1, 3), float(base)), np.array([False])) == bright).all()
+        assert (brightness(np.full((1, 3), float(base)), np.array([True])) == 1).all()
+
+    def test_a_mixed_normal_is_shorter_than_a_half(self):
+        assert is_mixed(np.array([[0, 0, 0.5], [0, np.nextafter(0.5, 0), 0], [0, 0, 0], [0.25, 0.25, 0.25]])).tolist() == [
+            0,
+            1,
+            1,
+            1,
+        ]
 
     @pytest.mark.parametrize(
         ("number", "n", "normal", "shows"),
@@ -466,17 +483,17 @@ class TestReshade:
         none, is_source, hole = np.zeros((20, 1, 3)), np.zeros((20, 1), bool), (np.array([10]), np.array([0]))
         is_source[[8, 14]] = True
         _, total = like_sums(none, is_source, none[..., 0], none, none, *hole)
-        assert total == 1 / 16 + 1 / 625
+        assert (total == 1 / 16 + 1 / 625).all()
 
     def test_without_samples_like_materials_around_count(self):
-        """Pixel 10 leads nowhere. A base colour 1/8 off, or a normal 1/2 squared off, halve the fourth root of a weight."""
+        """Pixel 10 leads nowhere. A normal 1/2 squared off halves the fourth root of a weight."""
         inputs = reshade_inputs(80, warped=np.zeros((1, 80, 3)))
         inputs["valid"][0, 10], inputs["motion"][0, 10] = False, (np.inf, 0)
         inputs["stencil"][:] = 1
         inputs["stencil"][0, [8, 10, 12, 70, 74]] = 0  # 70 is on no ring of 10
         inputs["warped"][0, [8, 12, 70, 74]] = [[1], [10], [1000], [4]]
         assert self.filled(inputs)[10] == 5
-        inputs["base_color"][0, 12, 1] = 0.125
+        inputs["normal"][0, 12] = (0.5, 0.5, 1)
         assert self.filled(inputs)[10] == (1 + 10 / 16 + 4) / (2 + 1 / 16)
         inputs["normal"][0, 74] = (0.5, 0.5, 1)
         assert self.filled(inputs)[10] == (1 + 10 / 16 + 4 / 16) / (1 + 2 / 16)
@@ -486,6 +503,39 @@ class TestReshade:
         inputs["stencil_previous"][0, 8] = 0  # now 8 has a sample, and is a source
         assert self.filled(inputs)[8] == 8
         assert self.filled(inputs)[10] == (8 + 10 / 16) / (1 + 1 / 16)
+
+    def lit(self, base, light=3.0):
+        """Sources at 8 and 12 of base colours 3/64 and 15/64, so 1/4 and 1/2 bright, in one light; 10 is a hole of base colour ``base``."""
+        inputs = reshade_inputs(warped=np.zeros((1, 20, 3)), stencil=np.ones((1, 20)))
+        inputs["valid"][0, 10], inputs["motion"][0, 10] = False, (np.inf, 0)
+        inputs["stencil"][0, [8, 10, 12]] = 0
+        inputs["base_color"][0, [8, 10, 12]] = [[3 / 64], [base], [15 / 64]]
+        inputs["warped"][0, [8, 12]] = [[light / 4], [light / 2]]
+        return inputs
+
+    @pytest.mark.parametrize(("base", "bright"), [(0, 1 / 8), (3 / 64, 1 / 4), (63 / 64, 1), (9, np.sqrt(65 / 64))])
+    def test_the_light_is_that_of_other_base_colours(self, base, bright):
+        """Where one light falls, a hole has the colour of its own material, which no source shows."""
+        assert self.filled(self.lit(base))[10] == pytest.approx(3 * bright, rel=1e-15)
+
+    def test_a_bright_source_tells_more_of_the_light(self):
+        """Lights of 3 and 6 from sources 1/4 and 1/2 bright: by least squares the latter counts four times, by its weight besides."""
+        inputs = self.lit(63 / 64)
+        inputs["warped"][0, 12] = 3
+        weights = (1 + 180 / 64) ** -4 / 16, (1 + 144 / 64) ** -4 / 4
+        assert self.filled(inputs)[10] == pytest.approx(np.average([3, 6], weights=weights), rel=1e-15)
+
+    def test_a_mixed_hole_takes_the_mean_of_colours(self):
+        inputs = self.lit(63 / 64)
+        inputs["normal"][0, [8, 10, 12], 2] = 0.25
+        weights = (1 + 180 / 64) ** -4, (1 + 144 / 64) ** -4
+        assert self.filled(inputs)[10] == pytest.approx(np.average([3 / 4, 3 / 2], weights=weights), rel=1e-15)
+
+    def test_channels_have_lights_of_their_own(self):
+        inputs = self.lit(63 / 64)
+        inputs["base_color"][0, 12] = (15 / 64, 3 / 64, 0)
+        inputs["warped"][0, [8, 12]] = [[1 / 4, 2 / 4, 3 / 4], [1 / 2, 2 / 4, 3 / 8]]
+        assert reshade(**inputs)[0, 10] == pytest.approx([1, 2, 3], rel=1e-15)
 
     def test_what_has_nothing_alike_stays_as_it_is_warped(self):
         inputs = reshade_inputs(valid=np.zeros((1, 20), bool), stencil_previous=np.ones((1, 20)))

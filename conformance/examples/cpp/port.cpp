@@ -321,7 +321,8 @@ static std::pair<Image, Image> occlusion_warp(const Image &color, const Image &w
 
 // ---- Stage reshade ----
 
-constexpr float OWN_FOOTPRINTS = 2.0f, OWN_COSINE = 0.9f, OWN_STATIC_COSINE = 0.5f, BASE_COLOR = 8.0f, NORMAL = 2.0f, DISTANCE = 0.25f;
+constexpr float OWN_FOOTPRINTS = 2.0f, OWN_COSINE = 0.9f, OWN_STATIC_COSINE = 0.5f;
+constexpr float NORMAL = 2.0f, DISTANCE = 0.25f, FLOOR = 0.015625f, UNMIXED = 0.25f;
 constexpr int REACH = 2, STEPS[] = {1, 2, 4, 8, 16, 32};  // places from a hole to the sides of a ring; pixels from place to place
 
 static bool is_none(const float *normal) { return normal[0] == 0.0f && normal[1] == 0.0f && normal[2] == 0.0f; }
@@ -343,10 +344,15 @@ static float likeness(const float *base_color, const float *own_base_color, cons
     if (is_none(normal) != is_none(own_normal)) return 0.0f;
     float apart = 0.0f;
     for (int c = 0; c < 3; ++c) apart += std::fabs(base_color[c] - own_base_color[c]);
-    float unlike = 1.0f + BASE_COLOR * apart + NORMAL * squared_distance(normal, own_normal);
+    float unlike = 1.0f + apart + NORMAL * squared_distance(normal, own_normal);
     if (is_none(own_normal)) unlike += DISTANCE * static_cast<float>(away);
     const float square = unlike * unlike;
     return 1.0f / (square * square);
+}
+
+// What a base colour makes of light 1, in one channel; 1 for holes whose own base colour is a mean with a background's.
+static float brightness(float base_color, bool is_mixed) {
+    return is_mixed ? 1.0f : std::sqrt(std::min(std::max(base_color, 0.0f), 1.0f) + FLOOR);
 }
 
 // `base_color` is that of the frame itself.
@@ -373,19 +379,24 @@ static Image reshade(const Image &color, const Image &warped, const Image &motio
     });
     each_pixel(filled, [&](int y, int x) {
         if (*source.at(y, x)) return;
-        float sum[3] = {}, total = 0.0f;
+        const float *normal = current.normal.at(y, x);
+        const bool is_mixed = normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2] < UNMIXED;
+        float sum[3] = {}, total[3] = {};
         for (const int step : STEPS)
             for (int j = -REACH; j <= REACH; ++j)
                 for (int i = -REACH; i <= REACH; i += std::abs(j) == REACH ? 1 : 2 * REACH) {
                     const int v = y + step * j, u = x + step * i;
                     if (!source.holds(v, u) || !*source.at(v, u) || *current.stencil.at(v, u) != *current.stencil.at(y, x)) continue;
                     const float weight = likeness(base_color.at(v, u), base_color.at(y, x), current.normal.at(v, u),
-                                                  current.normal.at(y, x), (u - x) * (u - x) + (v - y) * (v - y));
-                    for (int c = 0; c < 3; ++c) sum[c] += weight * filled.at(v, u)[c];
-                    total += weight;
+                                                  normal, (u - x) * (u - x) + (v - y) * (v - y));
+                    for (int c = 0; c < 3; ++c) {
+                        const float a = brightness(base_color.at(v, u)[c], is_mixed);
+                        sum[c] += weight * a * filled.at(v, u)[c];
+                        total[c] += weight * a * a;
+                    }
                 }
-        if (total > 0.0f)
-            for (int c = 0; c < 3; ++c) filled.at(y, x)[c] = sum[c] / total;
+        if (total[0] > 0.0f)
+            for (int c = 0; c < 3; ++c) filled.at(y, x)[c] = brightness(base_color.at(y, x)[c], is_mixed) * sum[c] / total[c];
     });
     return filled;
 }
