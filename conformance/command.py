@@ -152,10 +152,10 @@ def conform(port: PortChoice, network: NetworkChoice, cases: CaseChoice, verdict
     if not faulthandler.is_enabled():
         faulthandler.enable(2)  # native code of a Python port may end this process: its line is then printed
     if network.onnx is not None:
-        refuse_options("with --onnx", OF_STAGES)
+        refuse_options("not with --onnx", OF_STAGES)
         passes = _judge_model(network.onnx, network, port, cases, files)
     else:
-        refuse_options("without --onnx", OF_MODELS)
+        refuse_options("only with --onnx", OF_MODELS)
         files.require_folder()
         _require_stages({"--stages": cases.stages, "--require": verdict.require})
         if cases.write_cases is not None:

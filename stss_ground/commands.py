@@ -130,11 +130,11 @@ def gather_options(
     return add
 
 
-def refuse_options(when: str, names: Collection[str]) -> None:
+def refuse_options(use: str, names: Collection[str]) -> None:
     """Refuse options of the command that runs which would have no effect.
 
     Args:
-        when: the case, for the error, such as "with --onnx".
+        use: when they have one, for the error: "only with --onnx", "not with --onnx".
         names: of the parameters.
 
     Raises:
@@ -143,7 +143,7 @@ def refuse_options(when: str, names: Collection[str]) -> None:
     context = click.get_current_context()
     for parameter in context.command.params:
         if parameter.name in names and context.get_parameter_source(str(parameter.name)) is ParameterSource.COMMANDLINE:
-            raise InputError(f"{parameter.opts[-1]}: not {when}")
+            raise InputError(f"{parameter.opts[-1]}: {use}")
 
 
 class Subcommand(click.Command):

@@ -126,13 +126,13 @@ def bench_command(
     if launches and tradeoff.pareto:
         raise InputError("--launches and --pareto: expected one of them")
     if not tradeoff.pareto:
-        refuse_options("without --pareto", ("scenes", "settings", "frames"))
+        refuse_options("only with --pareto", ("scenes", "settings", "frames"))
     right = True
     if tradeoff.pareto:
-        refuse_options("with --pareto", ("ours", "repeat", "peers", "dark"))
+        refuse_options("not with --pareto", ("ours", "repeat", "peers", "dark"))
         text = _measure_tradeoff(setups, tradeoff)
     elif launches:
-        refuse_options("with --launches", ("peers",))
+        refuse_options("not with --launches", ("peers",))
         text = _time_launches(setups, ours, repeat)
     else:
         with show_steps(Terminal(stderr=True), count_steps(setups, ours, peers, repeat)) as begin:

@@ -591,7 +591,7 @@ def test_options_that_do_not_fit_are_one_line(one_node, tmp_path, words, message
 
 
 def test_options_of_any_network_need_one():
-    assert "--shape: not without --onnx" in str(CliRunner().invoke(conform, ["--port", "a:b", "--shape", "n=3"]).exception)
+    assert "--shape: only with --onnx" in str(CliRunner().invoke(conform, ["--port", "a:b", "--shape", "n=3"]).exception)
 
 
 def test_a_program_that_changes_its_inputs_or_fails_is_said(tmp_path):

@@ -32,8 +32,8 @@ def test_mistakes():
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--frames", "20"], "--frames: not without --pareto"),
-        (["--launches", "--scenes", "pan"], "--scenes: not without --pareto"),
+        (["--frames", "20"], "--frames: only with --pareto"),
+        (["--launches", "--scenes", "pan"], "--scenes: only with --pareto"),
         (["--launches", "--peers", "openvino"], "--peers: not with --launches"),
         (["--pareto", "--ours", "ref"], "--ours: not with --pareto"),
         (["--pareto", "--dark"], "--dark: not with --pareto"),
