@@ -173,7 +173,7 @@ def _measure_tradeoff(setups: list[Setup], choice: ParetoChoice) -> str:
 @click.option("--device", help="Part of the name of the OpenCL device  [default: the first GPU]")
 @click.option("--tiny", is_flag=True, help="Small sizes: only check that every step runs.")
 def gpu_report_command(out: Path, device: str | None, tiny: bool) -> None:
-    """Test, judge and time a GPU; the report is a folder whose README.md begins with what is wrong.
+    """Test, judge and time a GPU; the report is a folder whose README.md begins with the faults.
 
     Runs self-tests, tests and the judge, compares times with other engines, and finds tile sizes. Takes 25 minutes at most and needs no
     network. Ends with status 1 if something is wrong.

@@ -17,7 +17,7 @@ from stss_ref.weights import WeightsError
 SECTIONS: Sections = {
     "Use": {
         "check": ("stss.cli.check:check", "Say what a sequence holds and whether it can be run."),
-        "run": ("stss.cli.run:run", "Make a sequence twice as large and twice as fast."),
+        "run": ("stss.cli.run:run", "Double the size and the frame rate of a sequence."),
         "gather": ("stss.cli.gather:gather", "Put the parts of a run into one folder."),
         "demo": ("stss.cli.check:demo", "Render a small scene, supersample it, compare it with its truth."),
         "weights": ("stss.cli.weights:weights", "Import and inspect the network's weights."),
@@ -26,7 +26,7 @@ SECTIONS: Sections = {
         "compare": ("stss.cli.compare:compare_command", "Compare frames with their truth."),
     },
     "Devices": {
-        "devices": ("stss.cli.devices:devices", "List the OpenCL devices, and whether they are right."),
+        "devices": ("stss.cli.devices:devices", "List the OpenCL devices, each with its self-test."),
     },
     "Ports": {
         "conform": ("conformance.command:conform", "Judge a port."),

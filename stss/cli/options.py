@@ -10,7 +10,6 @@ import click
 from stss.frames.backends import BACKENDS
 from stss.frames.compute_options import ComputeOptions
 from stss.images.color import TRANSFERS
-from stss.images.headers import MAX_SIDE
 from stss.quality.flip_vmaf import Perceptual
 from stss.sequence.background import MOTION_SOURCES
 from stss.sequence.choose_weights import AUTO
@@ -23,7 +22,6 @@ from stss_ground.terminal import echo
 
 MAX_MIB = 1 << 24
 """Largest ``--memory-limit``, in MiB: 16 TiB."""
-SIDE = click.IntRange(1, MAX_SIDE)
 MAX_COUNT = 10**6
 """Largest number of frames or repetitions that an option accepts."""
 
@@ -94,7 +92,7 @@ sequence_options = gather_options(
             ("background", "the background's motion: camera computes it, for files without it"),
             (
                 "static",
-                "the motion of what has stencil 0, and of the background: camera computes it, for files without motion",
+                "the motion of static surfaces, whose stencil is 0, and of the background: camera computes it",
             ),
         )
     ),
@@ -149,7 +147,7 @@ backend_options = gather_options(
         type=click.Choice(PRECISIONS),
         default="float32",
         show_default=True,
-        help="float32-direct: without Winograd; half: activations stored as half.",
+        help="float32-direct: without Winograd; half: activations stored as half; bfloat16: on a processor's matrix units.",
     ),
     click.option(
         "--memory-limit",

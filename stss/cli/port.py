@@ -14,7 +14,7 @@ from stss_ground.option_kinds import ReadPath
 
 @click.command(cls=Subcommand)
 @click.argument("job", type=ReadPath(), required=False)
-@click.option("--backend", type=click.Choice(["ref", "cl"]), default="ref", show_default=True)
+@click.option("--backend", type=click.Choice(["ref", "cl"]), default="ref", show_default=True, help="NumPy, or OpenCL.")
 @click.option("--port", "spec", metavar="MODULE:FACTORY", help="A Python port in place of a backend.")
 @click.option("--dump", is_flag=True, help="Write the output of each layer of the network, too: folder layers of a case.")
 @click.option("--serve", is_flag=True, help="Read the folders of jobs from standard input, one a line, and compute each.")

@@ -53,7 +53,9 @@ has the wrong sign."""
 @weights_option
 @backend_options
 @frame_options
-@click.option("--format", "suffix", type=click.Choice(["exr", "png"]), default="exr", show_default=True)
+@click.option(
+    "--format", "suffix", type=click.Choice(["exr", "png"]), default="exr", show_default=True, help="Format of the frames."
+)
 @click.option("--resume", is_flag=True, help="Go on after a stop: keep frames of the earlier run that are still right.")
 @click.option("--overwrite", is_flag=True, help="Replace the files of an earlier run.")
 @click.option("--cluster", help="Compute on local:N processes, or on the workers of a scheduler: tcp://host:8786.")
@@ -70,7 +72,7 @@ def run(
     keep_going: bool,
     **others: Any,
 ) -> None:
-    """Make SEQUENCE, a folder or a pattern like a.####.exr, twice as large and twice as fast."""
+    """Double the size and the frame rate of SEQUENCE, a folder or a pattern like a.####.exr."""
     console = Terminal(stderr=True)
     frames = reading.open(sequence, partial(track, console=console, text="reading headers"), keep_going=keep_going)
     _tell_of_reading(frames, reading)

@@ -9,14 +9,12 @@ from pathlib import Path
 
 import click
 
-from stss.cli.options import (
-    SIDE,
-)
+from stss.images.headers import MAX_SIDE
 from stss.weights import inspect as inspection
 from stss.weights.checkpoint import read_checkpoint
 from stss.weights.file import MADE_FOR, load, save
 from stss_ground.commands import Subcommand
-from stss_ground.option_kinds import ReadName, ReadPath, WrittenFile
+from stss_ground.option_kinds import ReadName, ReadPath, Size, WrittenFile
 from stss_ground.terminal import Terminal, echo, printable
 
 
@@ -36,7 +34,9 @@ def import_weights(checkpoint: Path, out: Path) -> None:
 
 @weights.command(cls=Subcommand)
 @click.argument("file", type=ReadName())
-@click.option("--size", type=(SIDE, SIDE), default=(544, 960), show_default=True, help="H W for the multiply-adds.")
+@click.option(
+    "--size", type=Size(MAX_SIDE), default=(544, 960), show_default="960x544", help="Size of the inputs, for the multiply-adds."
+)
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def inspect(file: str, size: tuple[int, int], as_json: bool) -> None:
     """Print the layers of the weights in FILE: shapes, parameters, multiply-adds."""

@@ -91,7 +91,7 @@ def test_a_finding_lists_the_first_of_the_frames_that_are_not_there(apart):
         ("bench", "--repeat", ["0"]),
         ("bench", "--frames", ["9"]),
         ("export realtime -o x.onnx", "--size", ["0x0", "16392x8"]),
-        ("weights inspect realtime", "--size", ["0 8", "-8 8", "8 99999"]),
+        ("weights inspect realtime", "--size", ["0x8", "-8x8", "99999x8"]),
         ("conform --exec true", "--seed", ["-1", "4294967296"]),
         ("conform --exec true", "--timeout", ["nan", "inf", "0", "-1", "1e30"]),
     ],
