@@ -45,10 +45,10 @@ def folder_of(path: str) -> Path:
         raise film.FilmError("Folder: expected one, found nothing")
     if path.startswith("//") and not bpy.data.filepath:
         raise film.FilmError(f"Folder: {path} lies beside the .blend: save it first, or name a whole path")
-    found = Path(bpy.path.abspath(path))
-    if not found.is_absolute():
+    folder = Path(bpy.path.abspath(path))
+    if not folder.is_absolute():
         raise film.FilmError(f"Folder: {path}: expected a whole path, or one that begins with // beside the .blend")
-    return found
+    return folder
 
 
 class Settings(bpy.types.PropertyGroup):

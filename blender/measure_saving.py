@@ -101,11 +101,11 @@ def main() -> None:
         row(f"full-{count}", out / f"full-{count}", seconds(lambda: render_full(out / f"full-{count}", count, 0)))  # noqa: B023
         count *= 2
     scene.cycles.samples = options.samples
-    named, words = film.cuts_of(shlex.split(options.options))
+    first_frames, words = film.cuts_of(shlex.split(options.options))
     cuts: list[int] = []
 
     def render_half() -> Iterator[str]:
-        cuts[:] = (yield from film.render(scene, out / "half", named))[1]  # those of markers, too
+        cuts[:] = (yield from film.render(scene, out / "half", first_frames))[1]  # those of markers, too
 
     half = seconds(lambda: [*render_half()])
     stss_seconds = seconds(lambda: [*film.supersample(out / "half", cuts, command, words)])

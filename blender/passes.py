@@ -149,8 +149,8 @@ def _numbers(scene: Any, graph: Any, size: tuple[int, int]) -> tuple[float, ...]
     place = (*camera.matrix_world.translation,)
     if camera.data.type != "PERSP":
         return place
-    seen = camera.calc_matrix_camera(graph, x=size[0], y=size[1], scale_x=render.pixel_aspect_x, scale_y=render.pixel_aspect_y)
-    u, v, _, w = seen @ camera.matrix_world.normalized().inverted()
+    lens = camera.calc_matrix_camera(graph, x=size[0], y=size[1], scale_x=render.pixel_aspect_x, scale_y=render.pixel_aspect_y)
+    u, v, _, w = lens @ camera.matrix_world.normalized().inverted()
     return (*place, *u[:3], *(-x for x in v[:3]), *w[:3])  # stss has y down
 
 

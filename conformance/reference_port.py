@@ -120,8 +120,8 @@ class WeightsFiles:
         """The weights of a case; JobError if they are damaged."""
         path = case / "in" / WEIGHTS
         data = read_bytes(path, MOST_WEIGHTS_BYTES)
-        for known, weights in self._read:  # to compare takes a tenth of the time of a hash
-            if known == data:
+        for content, weights in self._read:  # to compare takes a tenth of the time of a hash
+            if content == data:
                 return weights
         self._read.append((data, read_weights(data, path)))
         return self._read[-1][1]

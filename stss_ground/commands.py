@@ -122,8 +122,8 @@ def gather_options(
     def add(command: Callable[..., Any]) -> Callable[..., Any]:
         @wraps(command)
         def gather(**values: Any) -> Any:
-            gathered = kind(**{name: values.pop(name) for name in names})
-            return command(**values, **{argument: gathered})
+            group = kind(**{name: values.pop(name) for name in names})
+            return command(**values, **{argument: group})
 
         return group_options(heading, *options)(gather)
 

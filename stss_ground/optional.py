@@ -30,8 +30,8 @@ def require(name: str, extra: str = "bench", oldest: tuple[int, ...] = ()) -> An
         module = importlib.import_module(name)
     except ModuleNotFoundError as error:
         raise InputError(f"{package} is not installed: {advice.replace(' --upgrade', '')}") from error
-    if oldest and (found := version(package)) and tuple(map(int, found.split(".")[: len(oldest)])) < oldest:
-        raise InputError(f"{package}: expected version {'.'.join(map(str, oldest))} or newer, found {found}: {advice}")
+    if oldest and (present := version(package)) and tuple(map(int, present.split(".")[: len(oldest)])) < oldest:
+        raise InputError(f"{package}: expected version {'.'.join(map(str, oldest))} or newer, found {present}: {advice}")
     return module
 
 

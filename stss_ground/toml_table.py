@@ -137,10 +137,10 @@ class Table:
 
     def only(self, keys: str) -> None:
         """Raise the error if there is a key that ``keys`` does not list; before a key is taken, or a misspelt one counts as missing."""
-        known = {*re.findall(r"\w+", keys)} - {"and", "the", "tables"}
+        names = {*re.findall(r"\w+", keys)} - {"and", "the", "tables"}
         for key in self.rest:
-            if key not in known:
-                raise self.error(f"{self.path}: {self.prefix}{key}: unknown key; known are {keys}{suggest(key, known)}")
+            if key not in names:
+                raise self.error(f"{self.path}: {self.prefix}{key}: unknown key; known are {keys}{suggest(key, names)}")
 
     def end(self) -> None:
         """Raise the error if a key is left over."""

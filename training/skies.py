@@ -144,10 +144,10 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--clips", type=int, required=True)
     parser.add_argument("-o", "--out", type=Path, required=True)
-    given = parser.parse_args()
+    options = parser.parse_args()
     mi.set_variant("scalar_rgb")
-    for number in range(given.first, given.first + given.clips):
-        folder = given.out / f"sky-{number}"
+    for number in range(options.first, options.first + options.clips):
+        folder = options.out / f"sky-{number}"
         if not folder.exists():
             render_clip(number, folder)
             echo(str(folder))

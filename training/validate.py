@@ -99,14 +99,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--most", type=int, default=10**6, help="frames of each kind")
     options = parser.parse_args(arguments)
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
-    named: str | None = options.weights
-    weights, models = None if named is None else load(named).weights, dict[str, Model](bilinear=bilinear)
+    source: str | None = options.weights
+    weights, models = None if source is None else load(source).weights, dict[str, Model](bilinear=bilinear)
     shards = load_shards(options.data, weights)
-    if named is not None and weights is not None:
+    if source is not None and weights is not None:
         if weights.hole_test != HOLE_TESTS[0]:
             reason = f"expected weights with the hole test {HOLE_TESTS[0]}, as the samples have it, found {weights.hole_test}"
-            raise InputError(f"{named}: {reason}; stss methods measures them")
-        models[named] = network = Network().to(device)
+            raise InputError(f"{source}: {reason}; stss methods measures them")
+        models[source] = network = Network().to(device)
         load_weights(network, weights)
     for name, model in models.items():
         means = validate(model, shards, options.split, most=options.most, device=device)

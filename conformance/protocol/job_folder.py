@@ -323,9 +323,9 @@ def read_outputs(case: Path, stage: str, sizes: Sizes) -> Outputs | Unsupported:
         JobError: an output is missing, damaged, or not as the table says.
     """
     specs, out = find(stage).outputs, case / "out"
-    if (claimed := case / "unsupported").exists():
+    if (mark := case / "unsupported").exists():
         if there := [name for name in specs if (out / f"{name}.npy").exists()]:
-            raise JobError(f"{out / there[0]}.npy: written, although {claimed} says that there is no such stage")
+            raise JobError(f"{out / there[0]}.npy: written, although {mark} says that there is no such stage")
         return Unsupported(stage)
 
     def label(name: str) -> str:

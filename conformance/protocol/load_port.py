@@ -41,12 +41,12 @@ def load_port(choice: PortChoice, stages: Iterable[str] = STAGES) -> tuple[Port,
         lacking = [name for name in ("name", "dtype", "stages", "run") if not hasattr(port, name)]
         if lacking:
             raise InputError(f"{spec}: expected a port, got a {type(port).__name__} without {', '.join(lacking)}")
-        stated: dict[str, Any] = {
+        statements: dict[str, Any] = {
             "dtype": choice.dtype, "winograd": choice.winograd or None, "weights_version": choice.weights_version,
         }  # fmt: skip
         with foreign_code():
             own, stages_there = abilities_of(port), set[str](port.stages())
-        abilities = replace(own, **{name: value for name, value in stated.items() if value is not None})
+        abilities = replace(own, **{name: value for name, value in statements.items() if value is not None})
         arithmetic: Any = abilities.dtype
         # NumPy's own dtype equals its name, and is no key of the tables of bounds.
         if not isinstance(arithmetic, str) or arithmetic not in ARITHMETICS:

@@ -108,7 +108,7 @@ class Server:
         assert self._process.stdin is not None
         end = time.monotonic() + timeout
         path = os.fsencode(job)
-        done = f"{END}{path.decode(errors='replace')}"
+        answer = f"{END}{path.decode(errors='replace')}"
         try:
             self._process.stdin.write(path + b"\n")
             self._process.stdin.flush()
@@ -121,7 +121,7 @@ class Server:
                 line = ""
             if line is None:
                 raise JobError(self._ending())
-            if line == done:
+            if line == answer:
                 return
             if line.startswith(END):
                 raise JobError(f"answered for another job: expected {job}, got {line[len(END) :][:200]}")

@@ -42,9 +42,9 @@ def camera_lines(sequence: Sequence, number: int) -> list[Line]:
     if apart <= APART:
         which = "--camera" if is_table else "that of the files"
         return [*lines, ("note", f"camera: {which} agrees with position and depth (frame {number})")]
-    far, given = (float(np.linalg.norm(place)) for place in (camera.pose.position, pose.position))
-    times = far / given if given > 0 else 1.0
-    if not 0.5 < times < 2 and np.linalg.norm(camera.pose.position - times * pose.position) <= APART * far:
+    by_planes, by_file = (float(np.linalg.norm(place)) for place in (camera.pose.position, pose.position))
+    times = by_planes / by_file if by_file > 0 else 1.0
+    if not 0.5 < times < 2 and np.linalg.norm(camera.pose.position - times * pose.position) <= APART * by_planes:
         which = "--camera" if is_table else "the files' metadata"
         text = f"camera: frame {number}: position and depth put it {times:.4g} times as far from (0, 0, 0) as {which}"
         return [*lines, ("warning", f"{text}: positions and camera are in different units; write both in the same")]

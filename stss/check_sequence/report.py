@@ -323,7 +323,7 @@ def _pixels(
     pairs = [(a, b) for a, b in pairwise(usable) if b == a + 1]
     sample = pairs[:: max(1, -(-len(pairs) // PAIRS))]
     begin("motion")
-    looked = sorted({n for pair in sample for n in pair}) or usable[:1]
+    sample_numbers = sorted({n for pair in sample for n in pair}) or usable[:1]
     sample, lost = _with_motion(sequence, sample)
     verdict = judge_motion((sequence.load(a, cut=True), sequence.load(b)) for a, b in sample)
     tables["reprojection"] = dataclasses.asdict(verdict)
@@ -332,7 +332,7 @@ def _pixels(
     tables |= dataclasses.asdict(geometry)
     begin("values")
     values = Values()
-    for number in usable if all_values else looked:
+    for number in usable if all_values else sample_numbers:
         values.add(sequence, number)
     tables["values"] = values.table()
     lines = geometry.left_of(motion_lines(verdict, f"profile {sequence.profile.name}"))
@@ -347,30 +347,30 @@ def _pixels(
     begin("colours")
     colored = rendered[1 :: max(1, len(rendered) // PAIRS)]
     lines += alignment_lines((sequence.load(n, cut=True) for n in colored), linear=sequence.profile.color_domain == "linear")
-    tables["looked at"] = {"values": usable if all_values else looked, "motion and positions": looked}
-    lines.append(("note", _looked(looked, len(numbers), all_values=all_values)))
+    tables["looked at"] = {"values": usable if all_values else sample_numbers, "motion and positions": sample_numbers}
+    lines.append(("note", _extent(sample_numbers, len(numbers), all_values=all_values)))
     return [CheckFinding(level, text) for level, text in lines]
 
 
 def _with_motion(sequence: Sequence, pairs: list[tuple[int, int]]) -> tuple[list[tuple[int, int]], list[Line]]:
     """The pairs whose motion is known, and a finding for each of the others: at a cut a run needs none."""
-    known: list[tuple[int, int]] = []
+    with_motion: list[tuple[int, int]] = []
     lines: list[Line] = []
     for pair in pairs:
         try:
             sequence.load(pair[1])
-            known.append(pair)
+            with_motion.append(pair)
         except CameraError as error:
             lines.append(("warning", str(error)))
-    return known, lines
+    return with_motion, lines
 
 
-def _looked(looked: list[int], count: int, *, all_values: bool) -> str:
+def _extent(sample: list[int], count: int, *, all_values: bool) -> str:
     """How much of the sequence the findings are about."""
-    some = f"of {len(looked)} of {count} frames ({', '.join(map(str, looked))})"
+    some = f"of {len(sample)} of {count} frames ({', '.join(map(str, sample))})"
     if all_values:
         return f"looked at: values of all frames that have every buffer; motion and positions {some}"
-    rest = "" if len(looked) == count else "; a run may refuse values of the others: --all looks at them"
+    rest = "" if len(sample) == count else "; a run may refuse values of the others: --all looks at them"
     return f"looked at: values, motion and positions {some}{rest}"
 
 

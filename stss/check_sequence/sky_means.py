@@ -71,6 +71,6 @@ def _are_means(frame: Buffers, projection: Projection, static: Mask, beside: Mas
     depth = frame.depth[beside] / np.median(frame.depth[static] / own)
     with np.errstate(divide="ignore", invalid="ignore"):
         s = -(a * b).sum(-1) / (a * a).sum(-1)
-        (seen, _), (taken, away) = projection.project(at), projection.project(s[:, None] * at)
-        apart, left = (np.linalg.norm(place - pixels, axis=-1) for place in (seen, taken))
-        return (s > 1) & (apart > OFF) & (left < ON) & (np.abs(s * depth / away - 1) < LIKE)
+        (place, _), (far_place, away) = projection.project(at), projection.project(s[:, None] * at)
+        off, left = (np.linalg.norm(each - pixels, axis=-1) for each in (place, far_place))
+        return (s > 1) & (off > OFF) & (left < ON) & (np.abs(s * depth / away - 1) < LIKE)

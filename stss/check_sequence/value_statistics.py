@@ -275,9 +275,9 @@ class Values:
 
     def _leave_out_gbuffer_frames(self, sequence: Sequence) -> None:
         """Forget the colours that no run takes if all are black: such frames were rendered for their G-buffer alone."""
-        taken = choose_rendered(sequence.numbers, sequence.rendered, None) if sequence.rendered else frozenset[int]()
-        if not any(light for n, light in self._light.items() if n not in taken):
-            self._light = {n: light for n, light in self._light.items() if n in taken}
+        rendered = choose_rendered(sequence.numbers, sequence.rendered, None) if sequence.rendered else frozenset[int]()
+        if not any(light for n, light in self._light.items() if n not in rendered):
+            self._light = {n: light for n, light in self._light.items() if n in rendered}
 
     def _black_lines(self) -> list[Line]:
         lines: list[Line] = []

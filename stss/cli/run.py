@@ -141,10 +141,10 @@ def _tell_of_png(sequence: Sequence, options: RunOptions) -> None:
 
 def _tell_of_others(summary: Summary, out: Path, options: RunOptions) -> None:
     """Name frames that --resume left: the sequence got shorter, or they could not be made again."""
-    made = {frame.number for frame in summary.frames if frame.outcome != "left out"}
+    own = {frame.number for frame in summary.frames if frame.outcome != "left out"}
     first, last = options.frames or (-math.inf, math.inf)
     names = {path.name for path in folder_of(out).present() if path.name != SUMS}
-    if others := sorted(name for name in names if number_of(name) not in made and first <= number_of(name) <= last):
+    if others := sorted(name for name in names if number_of(name) not in own and first <= number_of(name) <= last):
         _tell(f"of an earlier run, not of this one: {listing(others, 4)}; --overwrite removes them")
 
 

@@ -123,9 +123,9 @@ def open_image(path: Path) -> Generator[oiio.ImageInput, None, None]:
                 raise InputError(f"{path}: expected {_kind_of(magic)}, found {_kind_of(start)}")
             file.seek(len(magic))
             if path.suffix.lower() == ".exr":
-                if (claimed := header_bytes(file)) > MOST_HEADER:
+                if (length := header_bytes(file)) > MOST_HEADER:
                     raise InputError(f"{path}: a header of more than {MOST_HEADER >> 20} MiB")
-                if claimed >= size:
+                if length >= size:
                     raise InputError(f"{path}: truncated or corrupt: its header goes on behind its {size} bytes")
                 stops = ends_early(file, size)
             if path.suffix.lower() == ".png" and not whole_png(file):

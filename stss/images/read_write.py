@@ -48,10 +48,10 @@ def read_channels(path: Path, names: Sequence[str], window: PixelWindow | None =
         InputError: as `read_header`; a channel is not there; or a pixel of the file cannot be decoded.
     """
     with open_image(path) as image:
-        found = locate(path, image)
-        window = window or found[0].display
+        places = locate(path, image)
+        window = window or places[0].display
         planes = {name: np.zeros(window.size, np.float32) for name in names}
-        _read_planes(image, *found, [*planes.items()], window)
+        _read_planes(image, *places, [*planes.items()], window)
     return planes
 
 

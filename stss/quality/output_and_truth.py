@@ -118,8 +118,8 @@ def find_pairs(
     for folder, images in ((out, outputs), (truth, truths)):
         if not images and frames is None:
             kinds = sorted({path.suffix for path in folder.iterdir()} - {"", *SUFFIXES})[:5]
-            found = f"; found {', '.join(kinds)}" if kinds else ""
-            raise InputError(f"{folder}: no frames; expected files named like NAME.0001.exr or NAME.0001.png{found}")
+            others = f"; found {', '.join(kinds)}" if kinds else ""
+            raise InputError(f"{folder}: no frames; expected files named like NAME.0001.exr or NAME.0001.png{others}")
     if not pairs:
         there = f"found {list_numbers(truths)}" + (f" within {frames[0]} to {frames[1]}" if frames else "")
         raise InputError(f"{truth}: expected a frame that {out} has, one of {list_numbers(outputs)}; {there}")
@@ -200,17 +200,17 @@ def _kind_and_transfer(path: Path, attributes: Mapping[str, Value]) -> tuple[str
 
 def _differ(output: Header, truth: Header) -> dict[str, tuple[str, str]]:
     """The words of both files where they differ, by the names of `DIFFERENCES`."""
-    found: dict[str, tuple[str, str]] = {}
+    words: dict[str, tuple[str, str]] = {}
     ours, theirs = chromaticities(output.attributes), chromaticities(truth.attributes)
     spaces = _space(output), _space(truth)
     if not same_primaries(ours, theirs):
-        found["chromaticities"] = _listing(ours), _listing(theirs)
+        words["chromaticities"] = _listing(ours), _listing(theirs)
     elif spaces[0] != spaces[1] and {*spaces} != {usual for usual, _ in _USUAL_SPACES.values()}:
-        found["colours"] = spaces
+        words["colours"] = spaces
     windows = union(output.windows.values()), union(truth.windows.values())
     if windows[0].within(output.display) != windows[1].within(truth.display):
-        found["data windows"] = str(windows[0]), str(windows[1])
-    return found
+        words["data windows"] = str(windows[0]), str(windows[1])
+    return words
 
 
 def _space(header: Header) -> str:

@@ -307,7 +307,7 @@ def _other_settings(
     folder: OutputFolder, options: RunOptions, metadata: Mapping[str, Value], names: tuple[str, ...]
 ) -> Iterator[tuple[Path, str]]:
     """The frames of the folder that were made with other settings of these ``names`` than ``metadata``, each with the first of them."""
-    wanted = settings_of(metadata, options.format, names)
+    own = settings_of(metadata, options.format, names)
     for path in folder.present():
         if path.parent != folder.path or path.name == SUMS:
             continue
@@ -317,8 +317,8 @@ def _other_settings(
             attributes = {}
         if "stss:key" not in attributes:  # somebody else's, which the folder tells
             continue
-        found = settings_of(attributes, path.suffix[1:], names)
-        if other := [f"{key} {found[key]}, not {value}" for key, value in wanted.items() if value not in ("", found[key])]:
+        theirs = settings_of(attributes, path.suffix[1:], names)
+        if other := [f"{key} {theirs[key]}, not {value}" for key, value in own.items() if value not in ("", theirs[key])]:
             yield path, other[0]
 
 

@@ -54,8 +54,8 @@ class Window:
         own = self._sequence.frames[window[-1].number].attributes
         colored = next((frame.number for frame in reversed(window) if frame.color is not None), None)
         of_color = {} if colored is None else self._sequence.frames[colored].attributes
-        kept = {name: value for name, value in own.items() if name not in OF_COLOR}
-        return kept | {name: value for name, value in of_color.items() if name in OF_COLOR}
+        of_frame = {name: value for name, value in own.items() if name not in OF_COLOR}
+        return of_frame | {name: value for name, value in of_color.items() if name in OF_COLOR}
 
     def _load(self, number: int) -> DisplayFrame | InputError:
         if number not in self._frames:

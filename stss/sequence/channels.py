@@ -119,9 +119,9 @@ def _names(header: Header, profile: Profile) -> dict[str, str]:
             parts = name.split(".")
             parts.remove(own)
             names[".".join(parts)] = name
-    wanted = {name.lower() for buffer in profile.channels.values() for alternative in buffer for name in alternative}
+    profile_names = {name.lower() for buffer in profile.channels.values() for alternative in buffer for name in alternative}
     for name in [name for name in names if "." not in name]:
-        if (whole := f"{header.parts[names[name]]}.{name}").lower() in wanted:
+        if (whole := f"{header.parts[names[name]]}.{name}").lower() in profile_names:
             names[whole] = names.pop(name)
     return names
 

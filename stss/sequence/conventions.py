@@ -112,8 +112,10 @@ def _require_planes(number: int, planes: Mapping[str, Array | float], has_camera
         if planes.get(name) is not None or (name == "nov" and has_camera):
             continue
         if name == "color":
-            if "color" not in planes and (found := [other for other in others if other.lower() in _COLORS]):
-                raise InputError(f"frame {number}: no color; expected an array, or None if it was not rendered; found {found[0]}")
+            if "color" not in planes and (colors := [other for other in others if other.lower() in _COLORS]):
+                raise InputError(
+                    f"frame {number}: no color; expected an array, or None if it was not rendered; found {colors[0]}"
+                )
             continue
         expected = "an array, or a camera" if name == "nov" else "an array"
         raise InputError(f"frame {number}: no {name}; expected {expected}{suggest(name, others)}")
@@ -190,8 +192,8 @@ def to_specification(
     """
     height, width = size = buffers["depth"].shape[:2]
     depth = np.empty(size, np.float32)
-    done = buffers if in_place else {name: np.empty(plane.shape, np.float32) for name, plane in buffers.items()}
-    done = {"nov": np.empty((*size, 1), np.float32)} | done
+    results = buffers if in_place else {name: np.empty(plane.shape, np.float32) for name, plane in buffers.items()}
+    results = {"nov": np.empty((*size, 1), np.float32)} | results
 
     def convert_rows(rows: slice) -> None:  # a block, so that what is computed on the way stays in the processor's cache
         stored = {name: plane[rows].astype(np.float32, copy=False) for name, plane in buffers.items()}
@@ -199,10 +201,10 @@ def to_specification(
         depth[rows] = _convert_part(part, profile, camera, display or (height, width), beyond)
         for name, plane in part.items():
             if not in_place or plane is not stored.get(name):
-                done[name][rows] = plane
+                results[name][rows] = plane
 
     for_blocks(height, max(1, BLOCK // width), convert_rows)
-    buffers |= done
+    buffers |= results
     return depth
 
 

@@ -146,8 +146,8 @@ def find_frames(path: Path, endings: Collection[str]) -> Frames:
     if len(by_prefix) > 1:
         first = {name[0]: file for name, file in reversed(parts) if name is not None}
         patterns = {_pattern(file): len(by_prefix[name]) for name, file in first.items()}
-        found = sorted(patterns, key=lambda pattern: (-patterns[pattern], pattern))
-        counts = listing([f"{each} ({patterns[each]} frame{'s' * (patterns[each] > 1)})" for each in found], MOST_LISTED)
+        by_size = sorted(patterns, key=lambda pattern: (-patterns[pattern], pattern))
+        counts = listing([f"{each} ({patterns[each]} frame{'s' * (patterns[each] > 1)})" for each in by_size], MOST_LISTED)
         raise InputError(
             f"{path}: several sequences: {counts}; give one as a pattern, with #### for the number{_other_number(files)}{_fractions(files)}"
         )

@@ -126,8 +126,8 @@ def read_stored(
     for of, to in ((buffers, arrays), (also, carried)):
         for name, source in of.items():
             planes.setdefault(source.path, []).extend((full, to[name][..., i]) for i, full in enumerate(source.names))
-    for path, wanted in planes.items():
-        read_planes(path, wanted, canvas)
+    for path, of_file in planes.items():
+        read_planes(path, of_file, canvas)
     for buffer, value in constants.items():
         if buffer not in arrays:
             arrays[buffer] = np.full((*canvas.size, 1), value, dtype=np.float32)

@@ -149,9 +149,9 @@ class Kernel:
 
     def _make(self) -> cl.Kernel:
         """OpenCL's kernel, at the first launch: until then its program need not be built."""
-        handle, known = cl.Kernel(self._program.handle, self.name), len(self._program.arguments(self.name))
-        if known != handle.num_args:
-            raise TypeError(f"kernel {self.name}: it takes {handle.num_args} arguments, read {known} in its source")
+        handle, count = cl.Kernel(self._program.handle, self.name), len(self._program.arguments(self.name))
+        if count != handle.num_args:
+            raise TypeError(f"kernel {self.name}: it takes {handle.num_args} arguments, read {count} in its source")
         for place, value in self._values.items():
             handle.set_arg(place, value)
         self._handle = handle

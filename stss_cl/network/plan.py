@@ -107,8 +107,8 @@ def plan_network(
     steps: list[Step] = []
     before: list[Step] = []
     for (node, image), last_read in zip(order, _last_reads(order), strict=True):
-        computed = node.name.removesuffix(UPSAMPLED)
-        (before if computed in once else steps).append(_step(buffers, node, image, local))
+        layer = node.name.removesuffix(UPSAMPLED)
+        (before if layer in once else steps).append(_step(buffers, node, image, local))
         buffers.free(last_read)
     features = {FEATURES[name]: buffers[name] for name in FEATURES if name in buffers}
     return Plan(tuple(buffers.slots), tuple(steps), tuple(before), features, buffers[result], fused)

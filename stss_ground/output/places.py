@@ -74,8 +74,8 @@ def _require_writable(folder: Path) -> None:
     """Raise InputError where the system knows already that a folder cannot be made or written to."""
     place = next(each for each in (folder, *folder.absolute().parents) if os.path.lexists(each))
     if place.is_dir() and not os.access(place, os.W_OK | os.X_OK):
-        made = "" if place == folder else f": the folder cannot be made: {place}"
-        raise InputError(f"{folder}{made}: cannot be written to")
+        reason = "" if place == folder else f": the folder cannot be made: {place}"
+        raise InputError(f"{folder}{reason}: cannot be written to")
 
 
 def _will_be(place: Path, folders: Iterable[Path]) -> bool:

@@ -28,11 +28,11 @@ def print_results(results: Sequence[SizeResult], console: Console) -> None:
             if row.fault:
                 console.print(f"{row.name}: {row.fault}", soft_wrap=True, markup=False, highlight=False)
         settings = [(row.name, row.details.get("precision"), row.details.get("threads")) for row in result.rows if not row.fault]
-        computed = [
+        words = [
             f"{name} {precision}" + (f" x {threads}" if threads else "") for name, precision, threads in settings if precision
         ]
-        if computed:
-            console.print(f"Precision x threads: {', '.join(computed)}.", soft_wrap=True, markup=False, highlight=False)
+        if words:
+            console.print(f"Precision x threads: {', '.join(words)}.", soft_wrap=True, markup=False, highlight=False)
 
 
 def _table(result: SizeResult) -> Table:
