@@ -56,12 +56,12 @@ BOUNDS = {
     "gate": Bound(4, 0, "1 / (1 + exp(-x)) or (1 + tanh(x / 2)) / 2: absolutely, times what the gate is to close"),
     "spread": Bound(8, 0, "times the rms of the reference's answer to random changes of that size, or twice its largest"),
     "rms": Bound(
-        1 / 6, 0, "rounding is a random walk, sqrt(n) below gamma_n, and a layer has n >= 36; scale: rms of what gamma_n moves"
+        1 / 6, 0, "rounding is a random walk, sqrt(n) below gamma_n, and a layer has n >= 36; scale: rms of the change by gamma_n"
     ),
     "rms.winograd": Bound(1, 0, "its transformed weights round once for all pixels: no random walk"),
     "rms.stored": Bound(1, 0, "of 3 roundings, each of up to u, the rms is u; changes of up to 3 u have sqrt(3) u"),
     "sums.square": Bound(2, 0, "mean of at least 1000 squared errors, each over its largest variance, n S^2 u^2 / 3"),
-    "sums.signed": Bound(8, 0, "sum of N such errors over sqrt(N): standard deviations of what is rounded either way as often"),
+    "sums.signed": Bound(8, 0, "sum of N such errors over sqrt(N): standard deviations of errors of random sign"),
     "sums.quotient": Bound(6, 0, "erm's product with a weight, 1, and its quotient by the same, 2.5 ulp of up to 2 u"),
     "quarter": Bound(1, 0, "fraction -+ 1/4, below 2, rounded once; scale: 1 pixel, times slope and contrast, as motion"),
     "slowness": Bound(

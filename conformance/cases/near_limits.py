@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Inputs of stages holes and frame whose comparisons need all bits of float32: a lost one decides a hole, or what fills it."""
+"""Inputs of stages holes and frame whose comparisons need all bits of float32: a lost one decides a hole, or its fill."""
 
 from __future__ import annotations
 

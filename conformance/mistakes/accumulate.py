@@ -210,7 +210,7 @@ ACCUMULATE = (
             ("across", "a share by the motion across", lambda motion: slowness(motion[..., :1])),
             ("down", "a share by the motion down", lambda motion: slowness(motion[..., 1:])),
             ("by_sum", "a share by |dx| + |dy|", lambda motion: slowness(np.abs(motion).sum(-1, keepdims=True))),
-            ("nothing_beyond", "no share of what moves by more than 4 pixels", lambda motion: slowness(motion) >= 1),
+            ("nothing_beyond", "no share of surfaces that move by more than 4 pixels", lambda motion: slowness(motion) >= 1),
         )
     ),
     _accumulate("slowness_of_newest", "both shares by the newer motion", put("accumulate.accumulate", _by_newer_slowness)),

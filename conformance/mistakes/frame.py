@@ -80,7 +80,7 @@ def _or_0(vectors: Any) -> Any:
 
 
 def _signed_history(warped: Any, valids: Any, change: Callable[[Any], Any] = np.positive) -> Any:
-    """The history with ``change`` of the colours in place of what is at least 0."""
+    """The history with ``change`` of the colours in place of colours of at least 0."""
     masks = stack_history(warped, valids)[..., 3:]
     return np.concatenate([np.stack([change(w) for w in warped[::-1]]), masks], axis=-1)
 

@@ -99,7 +99,7 @@ def _place(error: BaseException | None) -> str:
     own: list[traceback.FrameSummary] = []
     for frame in [] if error is None else traceback.extract_tb(error.__traceback__):
         if frame.filename == __file__:
-            own.clear()  # what comes before is ours
+            own.clear()  # the calls before it are ours
         elif not frame.filename.startswith("<") and frame.filename != importlib.__file__:
             own.append(frame)
     return f" ({Path(own[-1].filename).name}, line {own[-1].lineno})" if own else ""

@@ -138,7 +138,7 @@ class Program:
         if self._keep and job.is_dir():
             if self.kept_job is not None:
                 shutil.rmtree(self.kept_job, ignore_errors=True)
-            in_memory = job.parent == MEMORY  # which is not for what stays
+            in_memory = job.parent == MEMORY  # which is not for files that stay
             self.kept_job = Path(shutil.move(job, tempfile.gettempdir())) if in_memory else job
             place = f"{self.kept_job}{os.sep}"
             words += f"; its job is kept: {self.kept_job}"

@@ -15,7 +15,7 @@ from stss_cl.skip.stream import Stream
 PANELS = ("interface", "object", "sky")
 COUNT = 13  # the last frame is an SF, computed after several of its kind
 BUSY, DIM = (1.0, 0.35, 0.05), 0.5
-"""Colour of what was computed; brightness of the rest, which is grey, as a share of the frame's."""
+"""Colour of the computed part; brightness of the rest, which is grey, as a share of the frame's."""
 
 
 def panel(scene):

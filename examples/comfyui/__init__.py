@@ -51,7 +51,7 @@ class LoadFrames:
 
     @classmethod
     def INPUT_TYPES(cls) -> Choices:  # noqa: N802
-        """What ComfyUI shows."""
+        """The inputs that ComfyUI shows."""
         return {
             "required": {
                 "folder": ("STRING", {"default": "", "tooltip": "a folder, or a pattern like folder/name.####.exr"}),
@@ -131,7 +131,7 @@ class Supersample:
 
     @classmethod
     def INPUT_TYPES(cls) -> Choices:  # noqa: N802
-        """What ComfyUI shows."""
+        """The inputs that ComfyUI shows."""
         return {
             "required": {
                 "images": ("IMAGE", {"tooltip": "the rendered frames; other nodes may have changed them, but not their size"}),

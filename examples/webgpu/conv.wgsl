@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: MIT
-// A convolution with zeros around the image, and the gate of a gated one: what the network's stages are made of.
+// A convolution with zeros around the image, and the gate of a gated one: the parts of the network's stages.
 // One invocation computes one number. That is slow, and the one to keep: a fast kernel is right where it agrees with this one.
 
 struct Layer {
-    width: i32, height: i32, inputs: i32,  // of what is read
-    outputs: i32, stride: i32,             // of what is written: ceil(size / stride)
+    width: i32, height: i32, inputs: i32,  // of the input
+    outputs: i32, stride: i32,             // of the output: ceil(size / stride)
     relu: i32, reach: i32,                 // reach: 1 in a window of 3 x 3, 0 in one of 1 x 1
 }
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT
-// Stage erm (docs/stages.md), what is not convolution: the light of 5 x 5 places, weighted by how alike their materials are.
+// Stage erm (docs/stages.md) without its convolutions: the light of 5 x 5 places, weighted by how alike their materials are.
 
 struct Size { width: i32, height: i32 }
 

@@ -6,7 +6,7 @@
 @group(0) @binding(2) var<storage, read> earlier: array<vec2<f32>>;
 @group(0) @binding(3) var<storage, read_write> longer: array<vec2<f32>>;
 
-const LONGEST = 3.4028234e38;  // of what is not finite, or whose square is not
+const LONGEST = 3.4028234e38;  // of a motion that is not finite, or whose square is not
 
 fn earlier_at(q: vec2<i32>) -> vec2<f32> {
     if (any(q < vec2<i32>(0)) || q.x >= frame.width || q.y >= frame.height) { return vec2<f32>(0.0); }

@@ -2,8 +2,8 @@
 // All copies: changes of size (docs/stages.md, resample), and inputs put side by side. A concatenation is several such copies.
 
 struct Copy {
-    width: i32, height: i32, channels: i32,                // of what is read
-    columns: i32, rows: i32, pitch: i32, first: i32,       // of what is written, and the first of its channels that is
+    width: i32, height: i32, channels: i32,                // of the input
+    columns: i32, rows: i32, pitch: i32, first: i32,       // of the output, and the first of its channels that is written
     size: i32,                                             // COPIED and so on
     positive: i32,                                         // 1: numbers below 0 become 0
     masked: i32,                                           // 1: multiplied by the mask; 2: written only where the mask is not 0

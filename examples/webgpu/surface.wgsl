@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT
-// What is seen now, and how far apart the surfaces of neighbouring pixels lie: after follow.wgsl the beginning of holes.wgsl and reshade.wgsl.
+// The current surfaces, and how far apart those of neighbouring pixels lie: after follow.wgsl the beginning of holes.wgsl and reshade.wgsl.
 
 struct Surface { normal: vec3<f32>, stencil: f32, position: vec3<f32>, unused: f32 }
 

@@ -83,7 +83,7 @@ class Accumulation:
 
     def compute(self, window: Sequence[DisplayFrame], steps: tuple[int, int, int]) -> tuple[BackendImage, Mask]:
         """See ``Backend``."""
-        # The oldest first: a backend that skips what does not change meets the frames in order.
+        # The oldest first: a backend that skips unchanged parts meets the frames in order.
         before = [self._made(window[:-back]) for back in range(EARLIER, 0, -1) if back < len(window)][::-1]
         earlier = before[: before.index(None)] if None in before else before
         image, valid = self._backend.compute(window, steps)

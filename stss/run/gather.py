@@ -191,7 +191,7 @@ def _require_same(target: OutputFolder, sums: Mapping[str, str]) -> None:
 
 
 def _require_alike(folders: Sequence[Path], target: OutputFolder | None) -> tuple[str, ...]:
-    """Who made the frames; InputError where they are of runs with different settings: the film would change its look within a shot."""
+    """The makers of the frames; InputError where they are of runs with different settings: the film would change its look within a shot."""
     first: tuple[Path, dict[str, str]] | None = None
     makers: dict[str, None] = {}
     for path in _frames_of(folders, target):

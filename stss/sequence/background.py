@@ -16,7 +16,7 @@ from stss_ref.arrays import Array, Mask
 
 MotionSource = Literal["files", "camera"]
 MOTION_SOURCES: tuple[MotionSource, ...] = get_args(MotionSource)
-"""The sources of the motion of what does not move itself."""
+"""The sources of the motion of surfaces that do not move themselves."""
 LOOSE = 0.25
 """Pixels: if no projection fits positions better than this, they do not judge motion."""
 WITHIN = 0.5

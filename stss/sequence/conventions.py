@@ -195,7 +195,7 @@ def to_specification(
     results = buffers if in_place else {name: np.empty(plane.shape, np.float32) for name, plane in buffers.items()}
     results = {"nov": np.empty((*size, 1), np.float32)} | results
 
-    def convert_rows(rows: slice) -> None:  # a block, so that what is computed on the way stays in the processor's cache
+    def convert_rows(rows: slice) -> None:  # a block, so that intermediate results stay in the processor's cache
         stored = {name: plane[rows].astype(np.float32, copy=False) for name, plane in buffers.items()}
         part, beyond = {**stored}, None if outside is None else outside[rows]
         depth[rows] = _convert_part(part, profile, camera, display or (height, width), beyond)

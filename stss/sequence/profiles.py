@@ -182,7 +182,7 @@ def load_profile(name_or_path: str | Path, **changes: Any) -> Profile:
 
 
 def _read(path: Path) -> Table:
-    """A file's table, with what it leaves out from its base."""
+    """A file's table, with the entries of its base that it leaves out."""
     table = Table(path, "", InputError, _built_in(path)) if path.parent == _TABLES else read_toml(path, InputError)
     if "base" in table.rest:
         base = table.choice("base", profile_names())

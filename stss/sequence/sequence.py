@@ -178,7 +178,7 @@ class Sequence:
         if self.static == "camera" and "motion" not in self._frame(buffers.number).sources and moves.any():
             raise InputError(
                 f"{self._where(buffers.number)}: {option}: no motion for objects whose stencil is not 0, the first "
-                f"{buffers.stencil[moves][0]:g}; write their motion into the files, or 0 as the stencil of what is at rest"
+                f"{buffers.stencil[moves][0]:g}; write their motion into the files, or 0 as the stencil of surfaces at rest"
             )
         if before is None or now is None:
             number = buffers.number - (now is not None)

@@ -237,7 +237,7 @@ def _write(folder: Path, machine: dict[str, str], outcomes: Sequence[StepResult]
     parts = [
         f"# {machine['device']}\n",
         *(["Small sizes, which show that every step runs. **The figures mean nothing.**\n"] if tiny else []),
-        "## What is wrong\n",
+        "## Faults\n",
         "\n".join(f"- {line}" for line in wrong) or "No faults found.",
         "\n## Steps\n",
         _table(("step", "outcome", "s", "last line"), *((s.name, s.outcome, s.seconds, _cell(s.last_line)) for s in outcomes)),

@@ -186,7 +186,7 @@ class _Layer:
             error = ratio("stage.cl", self.run(sizes), want)
         except (DeviceError, cl.Error) as fault:
             return " ".join(str(fault).split())
-        return "" if error <= 1 else f"departs from the plain kernel by {error:.3g} of what is allowed"
+        return "" if error <= 1 else f"departs from the plain kernel by {error:.3g} of the allowed error"
 
 
 def _seconds(device: Device, launch: Launch, repeat: int) -> float:

@@ -38,7 +38,7 @@ def test_every_step_has_its_row_and_what_is_wrong_comes_first(tmp_path, monkeypa
     assert rows[2:6] == [["| good", "passed"], ["| bad", "failed"], ["| endless", "over its limit"], ["| absent", "skipped"]]
     assert text.index("**bad** failed") < text.index("## Steps")
     assert "**endless** over its limit, see `logs/endless.txt`: no output" in text
-    assert text.index("The figures mean nothing") < text.index("## What is wrong")
+    assert text.index("The figures mean nothing") < text.index("## Faults")
     assert "no / such thing" in text
     assert (folder / "logs" / "bad.txt").read_text().splitlines() == ["first", "no | such thing"]
 
