@@ -242,6 +242,6 @@ def _write(folder: Path, machine: dict[str, str], outcomes: Sequence[StepResult]
         "\n## Steps\n",
         _table(("step", "outcome", "s", "last line"), *((s.name, s.outcome, s.seconds, _cell(s.last_line)) for s in outcomes)),
         "\n## Machine\n",
-        _table(("what", "which"), *machine.items()),
+        _table(("property", "value"), *machine.items()),
     ]
     write_named(folder / "README.md", "\n".join(parts) + "\n")
