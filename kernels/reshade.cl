@@ -44,9 +44,8 @@ kernel void reshade(global const float *restrict warped, global const uchar *res
     float3 c = not_negative(read3(warped, pixel));
     if (!valid[pixel]) {
         const Surfaces s = {height, width, 3, 3, 0, stencil, 0, normal, 0, 0, base_color};
-        if (samples[pixel].w > 0.0f)
-            c = samples[pixel].xyz;
-        else {
+        if (samples[pixel].w > 0.0f) c = samples[pixel].xyz;
+        if (!is_own(samples[pixel], stencil[pixel])) {
             Light light = no_light(s, pixel);
             for (int step = 1; step <= LARGEST_STEP; step *= 2)
                 for (int j = -REACH; j <= REACH; ++j)
@@ -58,7 +57,7 @@ kernel void reshade(global const float *restrict warped, global const uchar *res
                         add_source(&light, s, other, (u - x) * (u - x) + (v - y) * (v - y),
                                    valid[other] ? not_negative(read3(warped, other)) : samples[other].xyz);
                     }
-            if (light.total.x > 0.0f) c = lit(light);
+            if (has_source(light)) c = lit(light);
         }
     }
     vstore3(c, pixel, filled);

@@ -13,7 +13,7 @@ from stss_ref.sample import Index, follow
 
 FOOTPRINTS = 2.0
 """Largest distance of a sample from the pixel's static surface; footprints of the pixel. Its square is exact."""
-COSINE, STATIC_COSINE = 0.9, 0.5
+COSINE, STATIC_COSINE = 0.95, 0.5
 """Smallest cosine between the normals of a sample and a pixel that show the same moving object; static geometry."""
 REACH = 2
 """Places from a hole to the sides of the square rings at which it looks for like materials."""
@@ -44,14 +44,14 @@ def reshade(
 ) -> Image:
     """Fill the warping holes of the earlier frame.
 
-    A hole ``p`` takes the mean of its own samples: those of the four earlier pixels around ``p + motion(p)`` that show its surface
-    (`shows_surface`). A hole that has none takes ``a(p) l`` with the light ``l`` for which ``sum w(q) (a(q) l - c(q))^2`` is least,
-    ``sum w(q) a(q) c(q) / sum w(q) a(q)^2``, over the pixels ``q = p + s (i, j)`` of its object, of each ``s`` of ``STEPS`` and all
-    whole ``i`` and ``j`` with ``max(|i|, |j|) = REACH``, that are no holes, where ``c`` is the warped colour, or holes with samples of
-    their own, where ``c`` is their mean. ``a`` is what the base colour ``b`` makes of light (`brightness`), and 1 for all ``q`` of a
-    hole that `is_mixed`; ``w(q) = (1 + |b(q) - b(p)|_1 + 2 |n(q) - n(p)|^2)^-4`` with the normal ``n``. A background, whose
-    normal is 0, takes from background alone, the nearer the more: ``w(q) = (1 + |b(q) - b(p)|_1 + |q - p|^2 / 4)^-4``. Without any it
-    stays as it is warped. Colours below 0 count as 0.
+    A static hole ``p`` takes the mean of its own samples: those of the four earlier pixels around ``p + motion(p)`` that show its
+    surface (`shows_surface`). A hole that has none, and any of a moving object, takes ``a(p) l`` with the light ``l`` for which ``sum
+    w(q) (a(q) l - c(q))^2`` is least, ``sum w(q) a(q) c(q) / sum w(q) a(q)^2``, over the pixels ``q = p + s (i, j)`` of its object,
+    of each ``s`` of ``STEPS`` and all whole ``i`` and ``j`` with ``max(|i|, |j|) = REACH``, that are no holes, where ``c`` is the
+    warped colour, or holes with samples of their own, where ``c`` is their mean. ``a`` is what the base colour ``b`` makes of light
+    (`brightness`), and 1 for all ``q`` of a hole that `is_mixed`; ``w(q) = (1 + |b(q) - b(p)|_1 + 2 |n(q) - n(p)|^2)^-4`` with the
+    normal ``n``. A background, whose normal is 0, takes from background alone, the nearer the more: ``w(q) = (1 + |b(q) - b(p)|_1 +
+    |q - p|^2 / 4)^-4``. Without any a hole takes the mean of its own samples, or stays as it is warped. Colours below 0 count as 0.
 
     Source: paper, Reshading (the light of valid neighbours, by how alike the materials are), here at full size; decision 38.
 
@@ -91,9 +91,11 @@ def reshade(
 
     is_source = valid.astype(bool)
     is_source[y[has], x[has]] = True
-    y, x = y[~has], x[~has]
+    # A moving object's samples are known by their normals alone: good enough among others, but not by themselves.
+    looks_around = ~has | (stencil[y, x] != 0)
+    y, x = y[looks_around], x[looks_around]
     sums, totals = like_sums(filled, is_source, stencil, normal, base_color, y, x)
-    has_source = totals[:, 0] > 0
+    has_source = (totals > 0).all(axis=-1)
     y, x = y[has_source], x[has_source]
     filled[y, x] = brightness(base_color[y, x], is_mixed(normal[y, x])) * sums[has_source] / totals[has_source]
     return filled

@@ -55,14 +55,16 @@ def expect_reshade(
     of_source = np.where(is_source, warped.max(axis=-1), 0)
     of_source[holes] = peak
     is_source |= has
-    # A hole that has no sample depends on those around it, too.
-    alone = _pixels(~is_source)
+    # A hole that has no sample, or is a moving object's, depends on those around it, too.
+    alone = _pixels(~is_source | (has & (inputs["stencil"] != 0)))
     terms, around, doubts = _around(inputs, is_source, of_source, undecided, alone, arithmetic)
     undecided[alone] |= doubts
     roundings = np.where(has, BOUNDS["own"].roundings, 0.0)
     scale = np.where(has, of_source, 0.0)
-    roundings[alone] = BOUNDS["like"].roundings + BOUNDS["own"].roundings + 2 * terms
-    scale[alone] = around
+    looks = terms > 0
+    alone = alone[0][looks], alone[1][looks]
+    roundings[alone] = BOUNDS["like"].roundings + BOUNDS["own"].roundings + 2 * terms[looks]
+    scale[alone] = around[looks]
     allowed = roundings * (arithmetic.unit * scale + arithmetic.tiny)
     # The light of any sources gives no more than the brightest surface in that of the darkest, but for the roundings of the longest sum.
     largest = max(color.max(), warped.max()) * np.sqrt(1 + 1 / FLOOR)

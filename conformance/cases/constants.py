@@ -294,7 +294,7 @@ CONSTANTS = (
     Constant("stencil's channels", "3", "holes", _mesh),
     Constant("beginning of the depth buffer", "10", "occlusion_warp", _farthest),
     Constant("own samples' distance in footprints", "2", "reshade", _own_distance),
-    Constant("own samples' cosine", "0.9", "reshade", _own_cosine(COSINE, 1)),
+    Constant("own samples' cosine", "0.95", "reshade", _own_cosine(COSINE, 1)),
     Constant("own samples' cosine, static", "0.5", "reshade", _own_cosine(STATIC_COSINE, 0)),
     Constant("places to the sides of a ring", "2", "reshade", _like),
     Constant("steps of the rings", "1, 2, 4, 8, 16, 32", "reshade", _like),

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from conformance.protocol.reference_copy import Copy, Mistake, change_arguments, fault, put, returns, wrap
-from stss_ref.reshade import FLOOR, REACH, STEPS, UNMIXED
+from stss_ref.reshade import COSINE, FLOOR, REACH, STEPS, UNMIXED
 
 Change = Callable[..., Any]
 _reshade = partial(fault, "reshade")
@@ -75,6 +75,21 @@ def _mean_of_lights(copy: Copy) -> None:
     wrap("reshade.like_sums", like_sums)(copy)
 
 
+def _in_place(copy: Copy) -> None:
+    """What a moving object's hole takes is the source of those after it."""
+    brightness, is_mixed = copy.get("reshade.brightness"), copy.get("reshade.is_mixed")
+
+    def like_sums(right: Change, color: Any, is_source: Any, stencil: Any, normal: Any, base_color: Any, y: Any, x: Any) -> Any:
+        color = color.copy()
+        for at in ((y[i : i + 1], x[i : i + 1]) for i in np.flatnonzero(is_source[y, x])):
+            sums, totals = right(color, is_source, stencil, normal, base_color, *at)
+            if (totals > 0).all():
+                color[at] = brightness(base_color[at], is_mixed(normal[at])) * sums / totals
+        return right(color, is_source, stencil, normal, base_color, y, x)
+
+    wrap("reshade.like_sums", like_sums)(copy)
+
+
 def _within_tile(right: Change, color: Any, is_source: Any, stencil: Any, normal: Any, base_color: Any, y: Any, x: Any) -> Any:
     """Windows end at the tiles of 8 x 8 that their pixels lie in."""
     sums, totals = np.zeros((2, len(y), 3), color.dtype)
@@ -108,7 +123,7 @@ def _nearest(copy: Copy) -> None:
         for step in reversed(STEPS):
             copy.put("reshade.STEPS", (step,))
             own, total = right(*arguments)
-            found = total[:, 0] > 0
+            found = (total > 0).all(axis=-1)
             sums[found], totals[found] = own[found], total[found]
         copy.put("reshade.STEPS", STEPS)
         return sums, totals
@@ -230,6 +245,12 @@ RESHADE = (
         "the brightness of green for all channels",
         lambda base: np.sqrt(np.clip(base[..., 1:2], 0, 1) + base.dtype.type(FLOOR)) + 0 * base,
     ),
+    _reshade(
+        "moving_own",
+        "a moving object's holes take their own samples, too",
+        returns("reshade.like_sums", lambda got, is_source, y, x: (got[0], got[1] * ~is_source[y, x][:, None])),
+    ),
+    _reshade("in_place", "what a moving object's holes take are sources of others", _in_place),
     _reshade("mean_of_lights", "the mean of the sources' lights", _mean_of_lights),
     _reshade(
         "one_total",
@@ -263,7 +284,7 @@ RESHADE = (
     ),
     _reshade("clamped_late", "the sum of samples, not each of them, is at least 0", _clamped_late),
     _reshade("leaning_samples", "static samples of any normal", put("reshade.STATIC_COSINE", -2.0)),
-    _reshade("cosine_for_all", "the cosine of moving objects for static ones, too", put("reshade.STATIC_COSINE", 0.9)),
+    _reshade("cosine_for_all", "the cosine of moving objects for static ones, too", put("reshade.STATIC_COSINE", COSINE)),
     _reshade("tile_halo", "windows end at tiles of 8 x 8", wrap("reshade.like_sums", _within_tile)),
     _reshade(
         "negative_color",

@@ -20,7 +20,7 @@ fn shows_surface(sample: Surface, p: vec2<i32>) -> bool {
     if (sample.stencil != here.stencil) { return false; }
     if (is_none(sample.normal) && is_none(here.normal)) { return true; }  // a background
     let cosine = here.normal.x * sample.normal.x + here.normal.y * sample.normal.y + here.normal.z * sample.normal.z;
-    if (here.stencil != 0.0) { return cosine >= 0.9; }
+    if (here.stencil != 0.0) { return cosine >= 0.95; }
     return cosine >= 0.5 && is_near(sample.position - here.position, 4.0 * squared_footprint(p));
 }
 
@@ -71,7 +71,7 @@ fn like_materials(@builtin(global_invocation_id) id: vec3<u32>) {
     let index = p.y * frame.width + p.x;
     if (valid[index] != 0.0) { return; }
     var found = samples[index].xyz;
-    if (samples[index].w == 0.0) {
+    if (samples[index].w == 0.0 || now[index].stencil != 0.0) {  // a moving object's samples are known by normals alone
         let is_mixed = squared(now[index].normal) < 0.25;
         var sum = vec3<f32>(0.0);
         var total = vec3<f32>(0.0);
@@ -92,8 +92,11 @@ fn like_materials(@builtin(global_invocation_id) id: vec3<u32>) {
                 }
             }
         }
-        if (total.x == 0.0) { return; }
-        found = brightness(index, is_mixed) * sum / total;
+        if (all(total > vec3<f32>(0.0))) {
+            found = brightness(index, is_mixed) * sum / total;
+        } else if (samples[index].w == 0.0) {
+            return;
+        }
     }
     filled[3 * index] = found.x;
     filled[3 * index + 1] = found.y;

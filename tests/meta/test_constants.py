@@ -78,7 +78,7 @@ PLANTS = {
     "own samples' cosine, static": [put("reshade.STATIC_COSINE", x) for x in (0.49, 0.51, -2.0)],
     "weight of distances on a background": [put("reshade.DISTANCE", x) for x in (0.24, 0.26, 0.0)],
     "own samples' distance in footprints": [put("reshade.FOOTPRINTS", x) for x in (1.99, 2.01, 0.0)],
-    "own samples' cosine": [put("reshade.COSINE", x) for x in (0.897, 0.903, float(np.float16(0.9)), 0.0)],
+    "own samples' cosine": [put("reshade.COSINE", x) for x in (0.947, 0.953, float(np.float16(0.95)), 0.0)],
     "places to the sides of a ring": [put("reshade.REACH", x) for x in (1, 3)],
     "steps of the rings": [
         put("reshade.STEPS", x) for x in ((1, 2, 4, 8, 16), (2, 4, 8, 16, 32), (1, 2, 4, 8, 16, 31), (1, 2, 3, 4, 8, 16, 32))

@@ -332,9 +332,9 @@ class TestReshade:
         assert 103 < self.filled(inputs)[10] < 117  # none: from around
 
     def test_of_a_moving_object_the_normals_count(self):
+        """Pixel 10 alone shows its object now, so that there is nothing around."""
         inputs = reshade_inputs()
-        for name in ("stencil", "stencil_previous"):
-            inputs[name][:] = 3
+        inputs["stencil"][0, 10], inputs["stencil_previous"][:] = 3, 3
         inputs["valid"][0, 10], inputs["motion"][0, 10] = False, (-2.5, 0)
         inputs["position_previous"] = inputs["position_previous"] + 1000
         assert self.filled(inputs)[10] == 7.5
@@ -342,6 +342,17 @@ class TestReshade:
         assert self.filled(inputs)[10] == 7
         inputs["normal"][0, 10] = inputs["normal_previous"][0, 7:9] = 0  # a background
         assert self.filled(inputs)[10] == 7.5
+
+    def test_a_moving_object_looks_around_and_its_samples_are_sources(self):
+        """Pixels 8 and 10 were 5 and 8, and show one object with 12: each takes the light of the others, not what these take."""
+        inputs = reshade_inputs(stencil_previous=np.full((1, 20), 3.0))
+        inputs["stencil"][0, [8, 10, 12]] = 3
+        for pixel, before in ((8, 5), (10, 8)):
+            inputs["valid"][0, pixel], inputs["motion"][0, pixel, 0] = False, before - pixel
+            inputs["normal_previous"][0, before + 1] = 0
+        filled = self.filled(inputs)
+        assert filled[8] == np.mean([8, 112])
+        assert filled[10] == np.mean([5, 112])
 
     def test_a_hole_beyond_the_frame_takes_the_samples_that_are_there(self):
         inputs = reshade_inputs(position=np.zeros((1, 20, 3)), position_previous=np.zeros((1, 20, 3)))

@@ -321,7 +321,7 @@ static std::pair<Image, Image> occlusion_warp(const Image &color, const Image &w
 
 // ---- Stage reshade ----
 
-constexpr float OWN_FOOTPRINTS = 2.0f, OWN_COSINE = 0.9f, OWN_STATIC_COSINE = 0.5f;
+constexpr float OWN_FOOTPRINTS = 2.0f, OWN_COSINE = 0.95f, OWN_STATIC_COSINE = 0.5f;
 constexpr float NORMAL = 2.0f, DISTANCE = 0.25f, FLOOR = 0.015625f, UNMIXED = 0.25f;
 constexpr int REACH = 2, STEPS[] = {1, 2, 4, 8, 16, 32};  // places from a hole to the sides of a ring; pixels from place to place
 
@@ -377,8 +377,10 @@ static Image reshade(const Image &color, const Image &warped, const Image &motio
         for (int c = 0; c < 3; ++c) filled.at(y, x)[c] = sum[c] / count;
         *source.at(y, x) = 1;
     });
+    // A moving object's samples are known by their normals alone: its holes look around, too. What they take is no source.
+    const Image sources = filled;
     each_pixel(filled, [&](int y, int x) {
-        if (*source.at(y, x)) return;
+        if (*valid.at(y, x) || (*source.at(y, x) && *current.stencil.at(y, x) == 0.0f)) return;
         const float *normal = current.normal.at(y, x);
         const bool is_mixed = normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2] < UNMIXED;
         float sum[3] = {}, total[3] = {};
@@ -391,11 +393,11 @@ static Image reshade(const Image &color, const Image &warped, const Image &motio
                                                   normal, (u - x) * (u - x) + (v - y) * (v - y));
                     for (int c = 0; c < 3; ++c) {
                         const float a = brightness(base_color.at(v, u)[c], is_mixed);
-                        sum[c] += weight * a * filled.at(v, u)[c];
+                        sum[c] += weight * a * sources.at(v, u)[c];
                         total[c] += weight * a * a;
                     }
                 }
-        if (total[0] > 0.0f)
+        if (std::min({total[0], total[1], total[2]}) > 0.0f)
             for (int c = 0; c < 3; ++c) filled.at(y, x)[c] = brightness(base_color.at(y, x)[c], is_mixed) * sum[c] / total[c];
     });
     return filled;
