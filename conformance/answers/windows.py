@@ -6,7 +6,7 @@ Windows lie around corners that tiles of 64, 128, 256 and 512 have in common, ar
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -23,14 +23,17 @@ from conformance.protocol.port import Outputs
 from conformance.protocol.reference_copy import load, put
 from conformance.protocol.stages import STAGES, check_inputs, network_inputs
 from stss_ref.resample import lerp_along, pad_to_8
-from stss_ref.weights import Weights
+from stss_ref.weights import Weights, astype
 
+Size = tuple[int, int]
 Part = tuple[slice, slice]
 """Rows and columns of a frame."""
 Inputs = dict[str, NDArray[Any]]
-REACH = {"network": 112, "history": 48, "encoder": 40, "erm": 40, "decoder": 32, "reshade": 80}
+REACH = {"history": 48, "encoder": 40, "erm": 40, "decoder": 32, "reshade": 80}
 """Input pixels, at most, from an output pixel to the inputs of its value, in multiples of 8: 43 of history, 37 of encoder, 40 of erm, 30 of
-decoder, the last three together, and 74 of reshade: its widest ring and the samples there."""
+decoder, and 74 of reshade: its widest ring and the samples there."""
+FROM_IMAGE = {"encoder": 112, "erm": 72, "history": 80, "decoder": 32}
+"""The same from a pixel of the image of the whole network, whose stages these are, in their order: what follows each, and its own."""
 IMAGE_REACH = 32
 """The same for the other image stages with motion of up to 8 pixels: a chain of three, or a splat, its look-up and the reading there."""
 SIDE = 32
@@ -79,10 +82,13 @@ def expect_windows(
     first = slice(0, SAMPLE * SPARSE.get(network, 1))
     bounds = expect_with_weights(network, _part(stage, inputs, weights, (first, first)), weights, arithmetic)
     whole = (-(-height // 8) * 8, -(-width // 8) * 8) if stage in PADDED else (height, width)
+    specs, network_part = STAGES[network].outputs, NetworkPart(network, weights, whole)
     for window in windows:
-        around = _around(window, whole, REACH[network])
-        got = _network_window(network, _part(stage, inputs, weights, around), weights, window, around, whole)
-        yield Window(*window, {name: (at, replace(bounds[name], want=want)) for name, (at, want) in got.items()})
+        around = _around(window, whole, network_part.reach)
+        got = network_part.run(_part(stage, inputs, weights, around), window)
+        yield Window(
+            *window, {name: (_place(specs[name], window), replace(bounds[name], want=want)) for name, want in got.items()}
+        )
 
 
 def _part(stage: str, inputs: Inputs, weights: Weights, around: Part) -> Inputs:
@@ -98,14 +104,38 @@ def _part(stage: str, inputs: Inputs, weights: Weights, around: Part) -> Inputs:
     return {name: pad_to_8(array[..., None])[..., 0] if name == "mask" else pad_to_8(array) for name, array in part.items()}
 
 
-def _network_window(
-    stage: str, inputs: Inputs, weights: Weights, window: Part, around: Part, whole: tuple[int, int]
-) -> dict[str, Any]:
-    """The outputs' places and right answers in a window, from the inputs in the part ``around`` it of the ``whole`` frame."""
-    size = around[0].stop - around[0].start, around[1].stop - around[1].start
-    plant = put("resample.upsample_corners", _corners_of((around[0].start, around[1].start), whole, size))
-    got = load("window", plant).run(stage, inputs, weights)
-    return {name: (_place(spec, window), got[name][_place(spec, window, around)]) for name, spec in STAGES[stage].outputs.items()}
+class NetworkPart:
+    """The network, or a stage of it, in windows: each of its stages is computed no further around than the window's numbers depend on.
+
+    Most of its work is the decoder's, at a seventh of the pixels that the encoder needs.
+
+    Args:
+        stage: its name.
+        weights: float32.
+        whole: (H, W) of the frame.
+
+    Attributes:
+        reach: how far around a window the inputs are needed; input pixels.
+    """
+
+    def __init__(self, stage: str, weights: Weights, whole: Size):
+        self._stages = FROM_IMAGE if stage == "network" else {stage: REACH[stage]}
+        self.reach = max(self._stages.values())
+        self._weights, self._whole = astype(weights, np.dtype(np.float64)), whole
+        self._corners = _Corners(whole)
+        self._port = load("window", put("resample.upsample_corners", self._corners.upsample))
+
+    def run(self, inputs: Inputs, window: Part) -> Inputs:
+        """The outputs in a window, from the inputs as far around it as ``reach``."""
+        arrays, origins = dict(inputs), dict.fromkeys(inputs, _around(window, self._whole, self.reach))
+        outputs: Mapping[str, ArraySpec] = {}
+        for stage, reach in self._stages.items():
+            around, specs, outputs = _around(window, self._whole, reach), STAGES[stage].inputs, STAGES[stage].outputs
+            part = {name: arrays[name][_place(spec, around, origins[name])] for name, spec in specs.items()}
+            self._corners.part = around
+            arrays |= self._port.run(stage, part, self._weights)
+            origins |= dict.fromkeys(outputs, around)
+        return {name: arrays[name][_place(spec, window, origins[name])] for name, spec in outputs.items()}
 
 
 def _image_window(stage: str, inputs: Inputs, arithmetic: Arithmetic, outputs: Outputs, window: Part) -> Window:
@@ -147,15 +177,18 @@ def _place(spec: ArraySpec, window: Part, origin: Part | None = None) -> tuple[s
     return tuple(slices)
 
 
-def _corners_of(first: tuple[int, int], whole: tuple[int, ...], size: tuple[int, ...]) -> Any:
-    """`stss_ref.resample.upsample_corners` of a part of a frame: it reads where the whole does."""
+class _Corners:
+    """`stss_ref.resample.upsample_corners` of a part of a frame: it reads where the whole, (H, W), does."""
 
-    def upsample_corners(x: NDArray[Any]) -> NDArray[Any]:
-        for axis in (0, 1):
-            length = x.shape[axis]
-            n, begin = whole[axis] * length // size[axis], first[axis] * length // size[axis]
+    def __init__(self, whole: Size):
+        self._whole = whole
+        self.part: Part = (slice(0, whole[0]), slice(0, whole[1]))
+
+    def upsample(self, x: NDArray[Any]) -> NDArray[Any]:
+        """An image of the part, at this or at a smaller size."""
+        for axis, (part, whole) in enumerate(zip(self.part, self._whole, strict=True)):
+            length, size = x.shape[axis], part.stop - part.start
+            n, begin = whole * length // size, part.start * length // size
             at = (np.arange(2 * length) + 2 * begin) * ((n - 1) / (2 * n - 1)) - begin
             x = lerp_along(x, np.clip(at, 0, length - 1), axis)
         return x
-
-    return upsample_corners
