@@ -289,4 +289,12 @@ def random(seed: int) -> Weights:
 
 def astype(weights: Weights, dtype: DTypeLike) -> Weights:
     """The same weights in another floating point ``dtype``; float64 for the truth."""
-    return weights.convert(lambda tensor: _frozen(tensor.astype(dtype, copy=False)))
+
+    def cast(tensor: Array) -> Array:
+        changed = tensor.astype(dtype, order="C", copy=False)
+        if changed is tensor:
+            return _frozen(tensor)
+        changed.flags.writeable = False
+        return changed
+
+    return weights.convert(cast)

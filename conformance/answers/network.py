@@ -171,9 +171,14 @@ def _changes(weights: Weights, arithmetic: Arithmetic) -> Tensors:
 
 def _change(weights: Weights, changes: Tensors, random: np.random.Generator) -> Weights:
     """Drawn by name, so that the same weights have the same bounds for any order of their tensors."""
-    arrays = {
-        name: weights[name] + changes[name] * (2 * random.random(weights[name].shape, np.float32) - 1) for name in sorted(weights)
-    }
+    arrays: dict[str, NDArray[Any]] = {}
+    for name in sorted(weights):
+        share = random.random(weights[name].shape, np.float32)
+        share *= 2
+        share -= 1
+        arrays[name] = changes[name] * share
+        arrays[name] += weights[name]
+        arrays[name].flags.writeable = False  # else the reference copies them
     return replace(weights, tensors=arrays)
 
 

@@ -35,8 +35,10 @@ OTHERS = 6
 """Cases, besides a failure, that a mistake must also explain."""
 MOST_SILENT = 2
 """Cases in a row that a program of one stage may leave unanswered for the whole of its time; the first is asked at two starts."""
-MOST_ROUNDED = 4
-"""Most inputs that are remembered in the form that the port gets."""
+MOST_ROUNDED = 2 * BATCH
+"""Most inputs that are remembered in the form that the port gets: a program's cases are written first, and compared later."""
+MOST_RIGHT, MOST_NUMBERS = 64, 2**16
+"""Most right answers that are remembered, each for inputs of up to so many numbers."""
 MOST_WEIGHTS = 128
 """Most sets of weights that are remembered in the form that the port gets; one test has fewer."""
 
@@ -100,7 +102,9 @@ class Judge:
         self.answers: list[tuple[Case, Outputs]] = []
         self._silent: Counter[str] = Counter()
         self._before: deque[Any] = deque(maxlen=MOST_BEFORE)
-        self._rounded: deque[tuple[Arrays, str, dict[str, NDArray[Any]]]] = deque(maxlen=MOST_ROUNDED)
+        self._rounded: dict[tuple[int, str], tuple[Arrays, dict[str, NDArray[Any]]]] = {}
+        self._right: dict[tuple[str, int, int], tuple[Arrays, Weights, dict[str, Expected]]] = {}
+        """By the identities of inputs and weights, which are kept alive."""
         self._weights: dict[int, tuple[Weights, Weights]] = {}
 
     def begin(self) -> None:
@@ -176,19 +180,19 @@ class Judge:
 
     def _advance(self, dialogue: Dialogue, answers: Sequence[Outputs] | None) -> DepartureError | None:
         """Let a property go on to its next questions; a wrong answer is of its last question's case, if it names no other."""
-        last = self._case_of(dialogue.questions[-1]) if dialogue.questions else None
+        last = dialogue.questions[-1] if dialogue.questions else None
         try:
             dialogue.go_on(answers)
         except DepartureError as error:
             return error
         except WrongError as error:
             assert last is not None
-            return error.of(last)
+            return error.of(self._case_of(last))
         except Exception as error:
             # A fault of the judge: its case is kept like any other failure.
             if last is not None:
                 message = f"judging failed: {type(error).__name__}: {error}"
-                self.record.failure = Failure(Finding(message, last, "", None, None), dialogue.drawn_case)
+                self.record.failure = Failure(Finding(message, self._case_of(last), "", None, None), dialogue.drawn_case)
             raise
         return None
 
@@ -280,12 +284,13 @@ class Judge:
         return {name: self.arithmetic.rounded(array, MOST_FLOAT16 if narrow else None) for name, array in arrays.items()}
 
     def _round_once(self, arrays: Arrays, stage: str) -> dict[str, NDArray[Any]]:
-        """`round_inputs`, kept for the last few cases: a property asks and compares with the same mapping."""
-        for inputs, of, rounded in self._rounded:
-            if inputs is arrays and of == stage:
-                return rounded
-        self._rounded.append((arrays, stage, self.round_inputs(arrays, stage)))
-        return self._rounded[-1][2]
+        """`round_inputs`, kept for the last cases: a property asks and compares with the same mapping."""
+        key = id(arrays), stage
+        if key not in self._rounded:
+            if len(self._rounded) == MOST_ROUNDED:
+                self._rounded.pop(next(iter(self._rounded)))
+            self._rounded[key] = arrays, self.round_inputs(arrays, stage)
+        return self._rounded[key][1]
 
     def exactly(self, arrays: Arrays, stage: str) -> dict[str, NDArray[Any]]:
         """The numbers of ``round_inputs`` in float64, for the reference."""
@@ -294,9 +299,21 @@ class Judge:
     def right(
         self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights | None = None, got: Outputs | None = None
     ) -> dict[str, Expected]:
-        """The right answers for these inputs, by output: see ``conformance.answers.by_stage.expect``."""
-        converted = None if weights is None else self._weights_of(weights)
-        return expect(stage, self.exactly(inputs, stage), converted, self.arithmetic, got or {})
+        """The right answers for these inputs, by output: see ``conformance.answers.by_stage.expect``.
+
+        Those of the network's stages, which take longest, are kept for small inputs: several tests have the same cases.
+        """
+        if weights is None:
+            return expect(stage, self.exactly(inputs, stage), None, self.arithmetic, got or {})
+        key = stage, id(inputs), id(weights)
+        if key not in self._right:
+            right = expect(stage, self.exactly(inputs, stage), self._weights_of(weights), self.arithmetic, got or {})
+            if sum(array.size for array in inputs.values()) > MOST_NUMBERS:
+                return right
+            if len(self._right) == MOST_RIGHT:
+                self._right.pop(next(iter(self._right)))
+            self._right[key] = inputs, weights, right
+        return self._right[key][2]
 
     def agrees(self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights | None = None) -> Talk:
         """Ask the port, and raise DepartureError unless every output is within its bound of the float64 reference."""

@@ -23,6 +23,10 @@ SHRINK_SECONDS = 60.0
 """Most time for making a failing case smaller; seconds."""
 TELL_SECONDS = 5.0
 """After this time of making a failure smaller, it is reported before it has its smallest form; seconds."""
+MOST_DRAWN = 6
+"""Most strategies whose cases are remembered: tests of one strategy are not far from each other."""
+_drawn: dict[tuple[int, int, int], tuple[st.SearchStrategy[Any], list[Any]]] = {}
+"""By the identity of a strategy, which is kept alive."""
 
 
 class DrawnCases:
@@ -37,10 +41,15 @@ class DrawnCases:
         self._strategy, self._slow = strategy, slow
 
     def cases(self, judge: Judge) -> list[Any]:
-        """The cases, without a port: the cases on which a program is judged."""
-        cases: list[Any] = []
-        self._draw(judge, cases.append, [Phase.generate])
-        return cases
+        """The cases, without a port: the cases on which a program is judged. They are the same objects for each test of a strategy."""
+        key = id(self._strategy), self._count(judge), judge.seed
+        if key not in _drawn:
+            cases: list[Any] = []
+            self._draw(judge, cases.append, [Phase.generate])
+            while len(_drawn) >= MOST_DRAWN:
+                _drawn.pop(next(iter(_drawn)))
+            _drawn[key] = self._strategy, cases
+        return list(_drawn[key][1])
 
     def check(self, judge: Judge, body: Body) -> None:
         """Run ``body`` on the cases, and make a case that fails smaller.
@@ -68,7 +77,10 @@ class DrawnCases:
 
     def _draw(self, judge: Judge, take: Callable[[Any], None], phases: list[Phase]) -> None:
         """Call ``take`` with the cases, up to the first at which it raises."""
-        draw_cases(self._strategy, take, judge.tier.slow if self._slow else judge.tier.fast, judge.seed, phases)
+        draw_cases(self._strategy, take, self._count(judge), judge.seed, phases)
+
+    def _count(self, judge: Judge) -> int:
+        return judge.tier.slow if self._slow else judge.tier.fast
 
 
 class MadeCases:

@@ -13,10 +13,12 @@ import os
 import re
 import shutil
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cache, lru_cache
 from io import BytesIO
 from itertools import islice
 from pathlib import Path
+from typing import Any, BinaryIO, Literal
 from urllib.parse import quote
 
 import numpy as np
@@ -48,6 +50,8 @@ MOST_HEADER = 10_000
 """Bytes of the header of a ``.npy`` file, as NumPy's ``max_header_size``."""
 SPACES = 0, 0, 64, 256
 """Spaces at the end of an input's header, by its array's size: NumPy writes 128 bytes for nearly every array, other programs write more."""
+MOST_HEADERS = 4096
+"""Most headers that are kept: many cases have the same shapes."""
 MOST_NAMES = 100
 """Most files of a folder that are looked at for a message."""
 MOST_WEIGHTS_BYTES = 64 * 2**20
@@ -95,12 +99,14 @@ def write_job(job: Path, cases: Sequence[Case], first: int = 0, *, layers: bool 
 
 def write_inputs(folder: Path, case: Case) -> None:
     """Write a case's stage and arrays into its folder. Names are those of any network, too: see `file_of`."""
-    (folder / "in").mkdir(parents=True)
-    (folder / "stage").write_text(f"{case.stage}\n", encoding="ascii")
+    inside = folder / "in"
+    inside.mkdir(parents=True)
+    (folder / "stage").write_bytes(f"{case.stage}\n".encode("ascii"))
     for name, array in case.inputs.items():
-        write_array(folder / "in" / file_of(name), array, spaces=SPACES[array.size % len(SPACES)])
+        write_array(inside / file_of(name), array, spaces=SPACES[array.size % len(SPACES)])
 
 
+@cache
 def file_of(name: str) -> str:
     """The file of an array: all but letters, digits and ``_.-~`` of its name is written as ``%`` and two hexadecimal digits."""
     return f"{quote(name, safe='')}.npy"
@@ -137,7 +143,7 @@ def _require_real(entry: os.DirEntry[str]) -> None:
         raise JobError(f"{entry.path}: not a file")
 
 
-Stamps = dict[Path, tuple[int, int, int]]
+Stamps = dict[str, tuple[int, int, int]]
 
 
 def stamps_of_inputs(job: Path, count: int) -> Stamps:
@@ -146,7 +152,7 @@ def stamps_of_inputs(job: Path, count: int) -> Stamps:
     for number in range(count):
         try:
             with os.scandir(job / f"{number:04d}" / "in") as entries:
-                stats = [(Path(entry.path), entry.stat(follow_symlinks=False)) for entry in entries]
+                stats = [(entry.path, entry.stat(follow_symlinks=False)) for entry in entries]
         except OSError:
             continue
         stamps |= {path: (stat.st_ino, stat.st_size, stat.st_mtime_ns) for path, stat in stats}
@@ -295,12 +301,21 @@ def write_array(path: Path, array: AnyArray, *, spaces: int = 0) -> None:
     if narrow is not array and (narrow != array).any():
         raise ArrayError(f"{path.stem}: expected integers of 32 bits")
     plain = narrow.astype(narrow.dtype.newbyteorder("<"), order="C", copy=False)
+    with path.open("xb", buffering=0) as file:
+        file.write(_header(plain.dtype, plain.shape, spaces))
+        numbers = plain.reshape(-1).view(np.uint8).data
+        while numbers:  # a system writes at most 2 GiB at once
+            numbers = numbers[file.write(numbers) :]
+
+
+@lru_cache(MOST_HEADERS)
+def _header(dtype: np.dtype[Any], shape: tuple[int, ...], spaces: int) -> bytes:
+    """The bytes before the numbers."""
     head = BytesIO()
-    np.lib.format.write_array_header_1_0(head, np.lib.format.header_data_from_array_1_0(plain))
+    claim = {"descr": np.lib.format.dtype_to_descr(dtype), "fortran_order": False, "shape": shape}
+    np.lib.format.write_array_header_1_0(head, claim)
     text = head.getvalue()[10:-1] + b" " * spaces + b"\n"
-    with path.open("xb") as file:
-        file.write(np.lib.format.magic(1, 0) + len(text).to_bytes(2, "little") + text)
-        file.write(plain.reshape(-1).view(np.uint8).data)
+    return np.lib.format.magic(1, 0) + len(text).to_bytes(2, "little") + text
 
 
 def write_unsupported(case: Path) -> None:
@@ -366,10 +381,10 @@ def read_array(path: Path) -> AnyArray:
     Raises:
         JobError: it is missing or damaged, holds anything but numbers, or exceeds ``MOST_BYTES``.
     """
-    array = _map_file(path)
-    if array.nbytes > MOST_BYTES:
+    stored = _look(path)
+    if stored.claim.nbytes > MOST_BYTES:
         raise JobError(f"{path}: expected up to {MOST_BYTES >> 30} GiB")
-    return _load(array)
+    return stored.load()
 
 
 def _others(folder: Path) -> str:
@@ -380,32 +395,59 @@ def _others(folder: Path) -> str:
     return f"{folder.name} holds {listing(names, 8) or 'nothing'}"
 
 
-def _map_file(path: Path) -> AnyArray:
-    """A file's array, whose numbers are not yet read: only its header was."""
+@dataclass(frozen=True)
+class _Stored:
+    """An array in a file of which only the header was read; ``claim`` has its shape and dtype, and no memory."""
+
+    path: Path
+    claim: AnyArray
+    offset: int
+    order: Literal["C", "F"]
+
+    def load(self) -> AnyArray:
+        """Its numbers, C-contiguous in the machine's byte order; JobError if they cannot be read."""
+        try:
+            numbers = np.fromfile(self.path, self.claim.dtype, self.claim.size, offset=self.offset)
+            shaped = numbers.reshape(self.claim.shape, order=self.order)
+        except (OSError, ValueError) as error:  # it was cut off meanwhile
+            raise JobError(f"{self.path}: {_first_line(error)}") from error
+        return np.asarray(shaped, shaped.dtype.newbyteorder("="), order="C")
+
+
+def _look(path: Path) -> _Stored:
+    """A file's array, whose numbers are not yet read."""
     if not path.is_file():
         raise JobError(f"{path}: {'not a file' if path.exists() else f'missing; {_others(path.parent)}'}")
     try:
-        _require_short_header(path)
-        array = np.lib.format.open_memmap(os.fspath(path), mode="r")  # NumPy resolves a Path, which takes longer than the rest
+        with path.open("rb") as file:
+            shape, is_fortran, dtype = _read_header(file)
+            claim, offset, there = np.broadcast_to(np.empty((), dtype), shape), file.tell(), os.fstat(file.fileno()).st_size
+        if there < offset + claim.nbytes:
+            raise ValueError(f"it has {there} bytes, expected {offset + claim.nbytes}")
     except Exception as error:
         # A stranger's text, which NumPy evaluates as a literal: it raises more than ValueError.
         raise JobError(f"{path}: not a .npy file of numbers: {_first_line(error)}") from error
-    if array.dtype.kind not in "biuf" or array.dtype.subdtype is not None:
-        raise JobError(f"{path}: expected an array of numbers, got {_first_line(array.dtype)}")
-    return array
+    if dtype.kind not in "biuf" or dtype.subdtype is not None:
+        raise JobError(f"{path}: expected an array of numbers, got {_first_line(dtype)}")
+    return _Stored(path, claim, offset, "F" if is_fortran else "C")
 
 
-def _require_short_header(path: Path) -> None:
-    """Raise ValueError for a header that NumPy would not take: it reads one of 4 GiB before it looks."""
-    with path.open("rb") as file:
-        start = file.read(12)
+def _read_header(file: BinaryIO) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+    """Shape, whether the order is Fortran's, and dtype; ValueError for a header that NumPy would not take.
+
+    NumPy reads one of 4 GiB before it looks, so its length is looked at first.
+    """
+    start = file.read(12)
     length = int.from_bytes(start[8:10] if start[6:7] == b"\x01" else start[8:12], "little")
     if length > MOST_HEADER:
         raise ValueError(f"its header claims {length} bytes, expected up to {MOST_HEADER}")
-
-
-def _load(array: AnyArray) -> AnyArray:
-    return np.array(array, array.dtype.newbyteorder("="), order="C", subok=False)
+    file.seek(0)
+    version = np.lib.format.read_magic(file)
+    if version == (1, 0):
+        return np.lib.format.read_array_header_1_0(file)
+    if version == (2, 0):
+        return np.lib.format.read_array_header_2_0(file)
+    raise ValueError(f"expected version 1.0 or 2.0, got {version[0]}.{version[1]}")
 
 
 def _first_line(value: object) -> str:
@@ -416,8 +458,8 @@ def _first_line(value: object) -> str:
 
 def _read_arrays(folder: Path, specs: Mapping[str, ArraySpec], fits: Callable[[Arrays], None]) -> Outputs:
     """The arrays of these names; ``fits`` is called before the first number is read, and raises ArrayError."""
-    maps = {name: _map_file(folder / f"{name}.npy") for name in specs}
-    fits(maps)
-    arrays = {name: _load(array) for name, array in maps.items()}
+    stored = {name: _look(folder / f"{name}.npy") for name in specs}
+    fits({name: each.claim for name, each in stored.items()})
+    arrays = {name: each.load() for name, each in stored.items()}
     check_numbers(specs, arrays, lambda name: f"{folder / name}.npy")
     return arrays

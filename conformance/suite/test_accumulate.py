@@ -17,8 +17,10 @@ from conformance.suite.properties import (
     same_twice,
 )
 
+CASES = accumulate_inputs()
 
-@cases(accumulate_inputs())
+
+@cases(CASES)
 def test_agrees_with_the_reference(judge: Judge, inputs: Inputs) -> Talk:
     """The mean is the float64 reference's, with earlier images within the box, at its border and far outside."""
     yield from judge.agrees("accumulate", inputs)
@@ -38,7 +40,7 @@ def test_what_was_off_screen_is_the_image(judge: Judge, inputs: Inputs) -> Talk:
     judge.same("accumulate.shown", got["shown"], judge.round_inputs(inputs, "accumulate")["image"])
 
 
-@cases(accumulate_inputs(), slow=True)
+@cases(CASES, slow=True)
 def test_no_colour_leaves_the_box(judge: Judge, inputs: Inputs) -> Talk:
     """No result is darker or brighter than the image in the 3 x 3 pixels around, except by rounding."""
     got = (yield ask("accumulate", inputs))["shown"]
@@ -48,7 +50,7 @@ def test_no_colour_leaves_the_box(judge: Judge, inputs: Inputs) -> Talk:
     judge.holds("accumulate.shown", got, Expected(np.clip(got, around.min(axis=(-2, -1)), around.max(axis=(-2, -1))), allowed))
 
 
-@cases(accumulate_inputs())
+@cases(CASES)
 def test_an_image_off_screen_might_not_be_there(judge: Judge, inputs: Inputs) -> Talk:
     """An older image that no motion leads into changes no bit."""
     image, motion = inputs["image"], np.full_like(inputs["motions"][:1], np.nan)
@@ -58,7 +60,7 @@ def test_an_image_off_screen_might_not_be_there(judge: Judge, inputs: Inputs) ->
     judge.same("accumulate.shown", two["shown"], one["shown"])
 
 
-test_the_same_twice = same_twice("accumulate", cases(accumulate_inputs(), slow=True))
+test_the_same_twice = same_twice("accumulate", cases(CASES, slow=True))
 
 
 test_constants_are_those_of_the_specification = agrees_on_constants("accumulate")

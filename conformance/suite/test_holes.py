@@ -22,6 +22,8 @@ from conformance.suite.properties import (
     same_twice,
 )
 
+SEEDED = sizes(12).flatmap(lambda size: st.tuples(st.just(size), SEEDS))
+
 
 @cases(holes_inputs())
 def test_agrees_with_the_reference(judge: Judge, inputs: Inputs) -> Talk:
@@ -74,7 +76,7 @@ def test_the_world_has_no_origin_axis_or_unit(judge: Judge, case: tuple[Size, in
     judge.same("holes.valid", second["valid"], first["valid"])
 
 
-@cases(sizes(12).flatmap(lambda size: st.tuples(st.just(size), SEEDS)))
+@cases(SEEDED)
 def test_a_plane_that_slides_past_has_no_holes(judge: Judge, case: tuple[Size, int]) -> Talk:
     """In the footprint's test a plane has no hole where its motion leads into the frame, at any distance between its pixels."""
     size, seed = case
@@ -90,7 +92,7 @@ def test_a_plane_that_slides_past_has_no_holes(judge: Judge, case: tuple[Size, i
     judge.same("holes.valid", valid, within_frame(reach(moved, judge.arithmetic))[0].astype(np.uint8))
 
 
-@cases(sizes(12).flatmap(lambda size: st.tuples(st.just(size), SEEDS)))
+@cases(SEEDED)
 def test_a_background_is_no_surface(judge: Judge, case: tuple[Size, int]) -> Talk:
     """In the footprint's test, if nothing moves, a surface that was background is a hole, and so is a background that was a surface."""
     size, seed = case

@@ -17,8 +17,10 @@ from conformance.suite.properties import (
     same_twice,
 )
 
+CASES = occlusion_inputs()
 
-@cases(occlusion_inputs())
+
+@cases(CASES)
 def test_agrees_with_the_reference(judge: Judge, inputs: Inputs) -> Talk:
     """The looked-up motion is a copy, bit for bit; the colour read by it is right within rounding."""
     yield from judge.agrees("occlusion_warp", inputs)
@@ -44,7 +46,7 @@ def test_only_the_order_of_depths_counts(judge: Judge, inputs: Inputs) -> Talk:
     judge.same("occlusion_warp.occlusion_motion", second["occlusion_motion"], first["occlusion_motion"])
 
 
-@cases(occlusion_inputs())
+@cases(CASES)
 def test_one_colour_fills_with_itself(judge: Judge, inputs: Inputs) -> Talk:
     """In a frame of one colour every hole is filled with that colour, bit for bit."""
     flat = np.broadcast_to(judge.round_inputs(inputs, "occlusion_warp")["color"][:1, :1], inputs["color"].shape)
@@ -52,7 +54,7 @@ def test_one_colour_fills_with_itself(judge: Judge, inputs: Inputs) -> Talk:
     judge.same("occlusion_warp.occlusion_warp", got, flat)
 
 
-test_the_same_twice = same_twice("occlusion_warp", cases(occlusion_inputs(), slow=True))
+test_the_same_twice = same_twice("occlusion_warp", cases(CASES, slow=True))
 
 
 test_constants_are_those_of_the_specification = agrees_on_constants("occlusion_warp")

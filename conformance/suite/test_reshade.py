@@ -16,8 +16,10 @@ from conformance.suite.properties import (
     same_twice,
 )
 
+CASES = reshade_inputs()
 
-@cases(reshade_inputs())
+
+@cases(CASES)
 def test_agrees_with_the_reference(judge: Judge, inputs: Inputs) -> Talk:
     """The colours are right within rounding; where rounding decides whether a sample is a hole's own, any mean is right."""
     yield from judge.agrees("reshade", inputs)
@@ -32,7 +34,7 @@ def test_what_is_no_hole_stays(judge: Judge, inputs: Inputs) -> Talk:
     judge.same("reshade.reshade", np.where(valid, got, 0), np.where(valid, want, np.float32(0)))
 
 
-@cases(reshade_inputs(), slow=True)
+@cases(CASES, slow=True)
 def test_what_was_read_in_holes_is_the_last_resort(judge: Judge, inputs: Inputs) -> Talk:
     """Warped colours in holes change only holes without any other source, which show these colours, bit for bit."""
     exact = judge.exactly(inputs, "reshade")
@@ -46,7 +48,7 @@ def test_what_was_read_in_holes_is_the_last_resort(judge: Judge, inputs: Inputs)
     )
 
 
-test_the_same_twice = same_twice("reshade", cases(reshade_inputs(), slow=True))
+test_the_same_twice = same_twice("reshade", cases(CASES, slow=True))
 
 
 test_constants_are_those_of_the_specification = agrees_on_constants("reshade")
