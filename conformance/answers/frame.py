@@ -21,7 +21,6 @@ from conformance.protocol.stages import network_inputs
 from conformance.tolerance import BOUNDS
 from stss_ref.detail import OWN, luma, tents
 from stss_ref.frame import is_missing
-from stss_ref.sample import taps
 from stss_ref.weights import Weights
 
 WarpedFrame = tuple[NDArray[Any], Reach, NDArray[Any], NDArray[np.bool_]]
@@ -96,7 +95,7 @@ def detail_errors(first: NDArray[Any], stencil: NDArray[Any], frames: Sequence[W
     total = np.full((2, 2, *own.shape), OWN)
     change = np.zeros((2, *total.shape))  # errors of the weights: by the port's own rounding, and by that of its motion
     for color, at, numbers, counts in frames:
-        cell = taps(at.at)
+        cell = at.cell
         light, bright = luma(color), luma(np.abs(color))
         most, least, peak = (
             np.where(counts, extreme(old, over_windows(extreme, image)[cell.y0, cell.x0]), old)

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 
 from conformance.answers.expected import Expected, mask
 from conformance.answers.port_arithmetic import Arithmetic, Reach, reach
-from conformance.answers.warp import interpolate, peaks, within_frame
+from conformance.answers.warp import interpolate_with_peak, peaks, within_frame
 from conformance.protocol.stages import hole_test
 from conformance.tolerance import BOUNDS
 from stss_ref.arrays import Array
 from stss_ref.constants import HoleLimits
 from stss_ref.holes import holes, offsets, squared_footprint
-from stss_ref.sample import between, taps
+from stss_ref.sample import between
 
 Bool = NDArray[np.bool_]
 Float64 = NDArray[np.float64]
@@ -57,9 +57,9 @@ def expect_holes(inputs: dict[str, NDArray[Any]], arithmetic: Arithmetic, off: F
     inside, edge = within_frame(at)
     outside = Maybe(~inside & ~edge, ~inside | edge)
     with np.errstate(invalid="ignore", over="ignore"):
-        s, s_off = interpolate(inputs["stencil_previous"][..., None], at, arithmetic)
-        s, s_off = s[..., 0], s_off[..., 0]
-        standing = _is_zero(inputs["stencil_previous"], s, s_off, at)
+        read = interpolate_with_peak(inputs["stencil_previous"][..., None], at, arithmetic)
+        s, s_off, peak = (numbers[..., 0] for numbers in read)
+        standing = Maybe(peak == 0, np.abs(s) <= s_off)  # certainly where the stencil is 0 at every pixel that counts
         turned = _turns(inputs, at, arithmetic)
         if test == "paper":
             static = standing & _too_far(inputs, at, arithmetic)
@@ -77,17 +77,10 @@ def _exceeds(value: Float64, off: Float64, threshold: Float64 | float) -> Maybe:
     return Maybe(value - off > threshold, ~(value + off <= threshold))
 
 
-def _is_zero(stencil: Float64, s: Float64, s_off: Float64, at: Reach) -> Maybe:
-    """Where the warped stencil is 0; certainly where it is 0 at every pixel that counts."""
-    own, around = peaks(stencil[..., None], at)
-    peak = np.where(at.unsure, around[0][..., 0], own[..., 0])
-    return Maybe(peak == 0, np.abs(s) <= s_off)
-
-
 def _beyond_footprint(inputs: dict[str, NDArray[Any]], at: Reach, arithmetic: Arithmetic) -> Maybe:
     """Where the offset that is read exceeds the footprints allowed. Offsets of 0 at all pixels that count give exactly 0."""
     unit, position, previous = arithmetic.unit, inputs["position"], inputs["position_previous"]
-    cell = taps(at.at)
+    cell = at.cell
     distance = _length(between(offsets(previous, position, cell), cell))
     own, around = peaks(previous, at, position)
     # Within its own four pixels an error of the place moves the value along a slope of at most twice their peak; beyond them, along the
@@ -120,7 +113,7 @@ def _too_far(inputs: dict[str, NDArray[Any]], at: Reach, arithmetic: Arithmetic)
     bias = LIMITS.facing * facing + LIMITS.grazing * (1 - facing) + LIMITS.depth * depth
     size = LIMITS.facing * facing + LIMITS.grazing * np.abs(1 - facing) + LIMITS.depth * np.abs(depth)
     off = BOUNDS["bias"].roundings * unit * (size + LIMITS.grazing * facing)
-    cell, previous, position = taps(at.at), inputs["position_previous"], inputs["position"]
+    cell, previous, position = at.cell, inputs["position_previous"], inputs["position"]
     own = _length(np.stack(offsets(previous, position, cell))).max(axis=0)
     height, width = facing.shape
     around = [
@@ -142,7 +135,7 @@ def _length(vectors: Array) -> Float64:
 def _turns(inputs: dict[str, NDArray[Any]], at: Reach, arithmetic: Arithmetic) -> Callable[[float], Maybe]:
     """Where the cosine is below a limit on a surface, that is, where one of the two normals is not 0."""
     unit, normal = arithmetic.unit, inputs["normal"]
-    n, n_off = interpolate(inputs["normal_previous"], at, arithmetic)
+    n, n_off, peak = interpolate_with_peak(inputs["normal_previous"], at, arithmetic)
     length = np.sqrt((n * n).sum(axis=-1))
     length_off = np.sqrt((n_off * n_off).sum(axis=-1)) + BOUNDS["length"].roundings * unit * length + SMALL
     dot = (normal * n).sum(axis=-1)
@@ -151,7 +144,6 @@ def _turns(inputs: dict[str, NDArray[Any]], at: Reach, arithmetic: Arithmetic) -
     cosine = dot / divisor
     least = np.maximum(divisor - length_off, 1e-5 * (1 - 4 * unit))
     off = (dot_off + np.abs(cosine) * (length_off + 4 * unit * divisor)) / least + arithmetic.tiny
-    own, around = peaks(inputs["normal_previous"], at)
-    size = np.maximum(np.where(at.unsure[..., None], around[0], own), np.abs(normal)).max(axis=-1)
+    size = np.maximum(peak, np.abs(normal)).max(axis=-1)
     sure = (np.maximum(length - length_off, 0) > SMALL) | (np.abs(normal).max(axis=-1) >= arithmetic.tiny)
     return lambda least: _exceeds(-cosine, off, -least) & Maybe(sure, size > 0)

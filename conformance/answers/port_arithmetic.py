@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from conformance.protocol.port import Arrays
 from conformance.tolerance import BOUNDS, UNIT
 from stss_ref.arrays import Plane
-from stss_ref.sample import Index, Place, follow
+from stss_ref.sample import Index, Place, Taps, follow, taps
 
 LIMITS = {
     **{
@@ -105,12 +106,17 @@ class Reach:
     rounded_x: Float64
     rounded_y: Float64
 
-    @property
+    @cached_property
+    def cell(self) -> Taps:
+        """The four pixels around each place."""
+        return taps(self.at)
+
+    @cached_property
     def unsure(self) -> Bool:
         """Where a port may read another cell of pixels than the place's own; rounding only the fraction changes no cell."""
         return _near_whole(self.at.fx, self.off_x) | _near_whole(self.at.fy, self.off_y)
 
-    @property
+    @cached_property
     def slip(self) -> Float64:
         """Largest distance from the place at which a port may read, the sum of both axes; pixels."""
         return self.off_x + self.off_y + self.rounded_x + self.rounded_y

@@ -402,11 +402,10 @@ class Judge:
     def holds(self, output: str, got: NDArray[Any], expected: Expected) -> None:
         """Raise WrongError unless ``got`` is right; ``output`` is ``stage.name``, as in the table of bounds."""
         self.record.undecided += expected.undecided
-        closer = expected.closer(got)
         ratios = {output: largest(expected, got), **({f"{output}{RMS}": expected.together(got)} if expected.rms < np.inf else {})}
         for name, ratio in ratios.items():
             self.record.worst[name] = max(ratio, self.record.worst.get(name, 0.0))
-        if largest(closer, got) > 1:
+        if max(ratios.values()) > 1 and largest(closer := expected.closer(got), got) > 1:
             raise WrongError(describe(output, got, expected), output.rsplit(".", maxsplit=1)[-1], got, closer)
         for name, ratio in ratios.items():
             self.near[name] = max(ratio, self.near.get(name, 0.0))
