@@ -421,6 +421,8 @@ def _look(path: Path) -> _Stored:
     try:
         with path.open("rb") as file:
             shape, is_fortran, dtype = _read_header(file)
+            if dtype.hasobject:
+                raise ValueError("Python objects")
             claim, offset, there = np.broadcast_to(np.empty((), dtype), shape), file.tell(), os.fstat(file.fileno()).st_size
         if there < offset + claim.nbytes:
             raise ValueError(f"it has {there} bytes, expected {offset + claim.nbytes}")

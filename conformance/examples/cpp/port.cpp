@@ -491,25 +491,41 @@ static Image conv(const Image &x, const Weights &weights, const std::string &nam
     const Layer &layer = weights.layer(name, x.channels);
     // Zeros on all four sides, in every convolution; not the repeated border of pad_to_8.
     const int border = layer.kernel / 2;
-    Image padded(x.height + 2 * border, x.width + 2 * border, x.channels);
+    // On the right there are more, for the pixels of the last four that lie beyond the row.
+    Image padded(x.height + 2 * border, x.width + 2 * border + 3 * stride, x.channels);
     each_pixel(x, [&](int y, int column) { std::copy_n(x.at(y, column), x.channels, padded.at(y + border, column + border)); });
 
     Image result((x.height + stride - 1) / stride, (x.width + stride - 1) / stride, layer.outputs);
+    const int step = stride * layer.inputs;
     for (int first = 0; first < layer.outputs; first += LANES)
-        each_pixel(result, [&](int y, int column) {
-            const float *weight = layer.weight.data() + size_t(first) * layer.kernel * layer.kernel * layer.inputs;
-            float sum[LANES];
-            std::copy_n(layer.bias.data() + first, LANES, sum);
-            for (int v = 0; v < layer.kernel; ++v)
-                for (int u = 0; u < layer.kernel; ++u) {
-                    const float *in = padded.at(y * stride + v, column * stride + u);
-                    float tap[LANES] = {};  // a sum for each tap, then a sum of those: less rounding than in one long sum
-                    for (int c = 0; c < layer.inputs; ++c, weight += LANES)
-                        for (int lane = 0; lane < LANES; ++lane) tap[lane] += in[c] * weight[lane];
-                    for (int lane = 0; lane < LANES; ++lane) sum[lane] += tap[lane];
-                }
-            std::copy_n(sum, std::min(LANES, layer.outputs - first), result.at(y, column) + first);
-        });
+        for (int y = 0; y < result.height; ++y)
+            // Four pixels at a time: a weight is fetched once for all, and none waits for another's sum. Each has a name, since g++ -O2
+            // keeps an array of them in memory.
+            for (int column = 0; column < result.width; column += 4) {
+                const float *weight = layer.weight.data() + size_t(first) * layer.kernel * layer.kernel * layer.inputs;
+                float sums[4][LANES];
+                for (float *sum : {sums[0], sums[1], sums[2], sums[3]}) std::copy_n(layer.bias.data() + first, LANES, sum);
+                for (int v = 0; v < layer.kernel; ++v)
+                    for (int u = 0; u < layer.kernel; ++u) {
+                        const float *in = padded.at(y * stride + v, column * stride + u);
+                        // A sum for each tap, then a sum of those: less rounding than in one long sum.
+                        float tap0[LANES] = {}, tap1[LANES] = {}, tap2[LANES] = {}, tap3[LANES] = {};
+                        const auto add = [&](float *tap, float value) {
+                            for (int lane = 0; lane < LANES; ++lane) tap[lane] += value * weight[lane];
+                        };
+                        for (int c = 0; c < layer.inputs; ++c, ++in, weight += LANES) {
+                            add(tap0, in[0]);
+                            add(tap1, in[step]);
+                            add(tap2, in[2 * step]);
+                            add(tap3, in[3 * step]);
+                        }
+                        float *sum = sums[0];
+                        for (const float *tap : {tap0, tap1, tap2, tap3})
+                            for (int lane = 0; lane < LANES; ++lane) *sum++ += tap[lane];
+                    }
+                for (int i = 0; i < std::min(4, result.width - column); ++i)
+                    std::copy_n(sums[i], std::min(LANES, layer.outputs - first), result.at(y, column + i) + first);
+            }
     return result;
 }
 
