@@ -38,7 +38,8 @@ def explain(judge: Judge, body: Body) -> Failure:
             return instead
 
     record, smallest = judge.record, judge.failure()
-    if judge.is_silent(smallest.finding.case.stage):
+    # To run it again would take as long, and slowness is no matter of chance.
+    if judge.is_silent(smallest.finding.case.stage) or smallest.finding.late:
         return smallest
     first = record.first or smallest
     judge.record = Record()

@@ -53,6 +53,7 @@ class Finding:
         got: the port's answer; None: it gave none.
         expected: the right answer; None: it is not known.
         terms: lines on the worst pixel (``conformance.explain.terms``).
+        late: the time of a program's start was over.
     """
 
     message: str
@@ -61,6 +62,7 @@ class Finding:
     got: NDArray[Any] | None
     expected: Expected | None
     terms: tuple[str, ...] = ()
+    late: bool = False
 
 
 @dataclass(frozen=True)

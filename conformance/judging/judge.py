@@ -242,7 +242,8 @@ class Judge:
                 raise answer
             check_outputs(case.stage, answer, sizes)
         except (ArrayError, PortError) as error:
-            return DepartureError(Finding(f"{case.stage}: {error}", case, "", None, None))
+            late = isinstance(error, PortError) and error.late
+            return DepartureError(Finding(f"{case.stage}: {error}", case, "", None, None, late=late))
         return answer
 
     def run(self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights | None = None) -> Outputs:

@@ -82,7 +82,8 @@ def _run_once(name: str, run_many: RunMany, cases: Sequence[Case]) -> list[Answe
         at = len(cases) - 1 if error.at is None else error.at
         (alone,) = _run_once(name, run_many, [cases[at]])
         if not isinstance(alone, PortError):
-            alone = PortError(f"passes alone, but failed as one of {len(cases)} in a job: {error}")
+            hint = "; that time is for all of them: --timeout gives more" if error.late else ""
+            alone = PortError(f"passes alone, but failed as one of {len(cases)} in a job: {error}{hint}", late=error.late)
         elif not error.silent:
             alone.silent = False
         return [alone if number == at else None for number in range(len(cases))]

@@ -29,12 +29,13 @@ class PortError(RuntimeError):
 
     Attributes:
         at: number of the case of a job at which it failed, as far as that can be seen.
-        silent: whether its time was over before it had answered any case.
+        late: whether the time of a start was over.
+        silent: whether it was over before any case was answered.
     """
 
-    def __init__(self, message: str, at: int | None = None, *, silent: bool = False):
+    def __init__(self, message: str, at: int | None = None, *, late: bool = False, silent: bool = False):
         super().__init__(message)
-        self.at, self.silent = at, silent
+        self.at, self.late, self.silent = at, late, silent
 
 
 @contextmanager

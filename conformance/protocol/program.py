@@ -90,8 +90,9 @@ class Program:
                 results.append(read(job / f"{number:04d}", number))
         except JobError as error:
             at = len(results) if ran else _first_unanswered(job, len(cases))
-            silent = at == 0 and isinstance(error, OutOfTimeError)
-            raise PortError(f"{self.name}: {self._put_away(job, str(error))}", at, silent=silent) from error
+            late = isinstance(error, OutOfTimeError)
+            message = f"{self.name}: {self._put_away(job, str(error))}"
+            raise PortError(message, at, late=late, silent=late and at == 0) from error
         except BaseException:
             shutil.rmtree(job, ignore_errors=True)
             raise

@@ -74,6 +74,23 @@ def test_a_job_that_fails_as_a_whole_is_a_failure_though_its_cases_pass():
     assert program.starts == [40, 1]
 
 
+def test_a_slow_program_is_told_of_its_time_and_not_of_chance():
+    def slow(job, number, outputs):
+        if len(job) > 30 and number == 20:
+            raise PortError("stopped after 2 s", number, late=True)
+        return outputs
+
+    program = Program(slow)
+    results = judged(program, "warp")
+    failed = [result for result in results if result.outcome == "failed"]
+    assert failed
+    for result in failed:
+        assert "passes alone" in result.message
+        assert "--timeout gives more" in result.message
+        assert "chance" not in result.message
+    assert len(program.starts) < 60
+
+
 def test_the_case_at_which_a_job_failed_is_found_at_one_more_start():
     def crash(job, number, outputs):
         if outputs["warped"].shape[1] == 8:
