@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: MIT
 """``python docs/pictures/panels.py PICTURE FRAME Y,X,H,W FOLDER...``: the same part of a frame of each folder, side by side.
 
-A part of less than 200 pixels is shown twice as large. ``methods*.png``: Y,X,96,96 of ``stss methods``, and the truth. ``first.png``, of
-the scene in ``street.py`` beside this file, which is ours (MIT), by a Python with bpy (``make test-blender`` makes one)::
+A part of less than 200 pixels is shown twice as large. ``methods.png``: 9 115,100,96,96 of ``stss methods``, and the truth;
+``methods-aliased.png``: 9 140,270,96,96. ``first.png``, of the scene in ``street.py`` beside this file, which is ours (MIT), by a
+Python with bpy (``make test-blender`` makes one)::
 
     .venv-blender/bin/python docs/pictures/street.py street
     for weights in bilinear auto; do
