@@ -100,10 +100,15 @@ def prepare(
     warped, valids = [w for w, _ in pairs], [valid for _, valid in pairs]
     color = two_colors(fill(inputs, warped[0], valids[0], motions.get(inputs.steps[0]), hole_fill), warped[0])
     if second == "detail":
-        moved = [i for i, step in enumerate(inputs.steps) if step in motions and not is_missing(inputs.steps, i)]
-        frames = [(inputs.colors[i], motions[inputs.steps[i]], inputs.stencils[i + 1]) for i in moved]
-        color[..., 3:] = detail(color[..., :3], inputs.stencils[0], frames)
+        color[..., 3:] = detail_of(inputs, inputs.colors, color[..., :3])
     return NetworkInputs(color, inputs.gbuffer, valids[0].astype(color.dtype), stack_history(warped, valids))
+
+
+def detail_of(inputs: FrameInputs, colors: Array, first: Image) -> Image:
+    """The detail (H, W, 3) of three colour frames, warped as those of ``inputs`` are, that ``first`` lacks (`detail`)."""
+    motions = motion_by_step(inputs.motions, inputs.steps)
+    moved = [i for i, step in enumerate(inputs.steps) if step in motions and not is_missing(inputs.steps, i)]
+    return detail(first, inputs.stencils[0], [(colors[i], motions[inputs.steps[i]], inputs.stencils[i + 1]) for i in moved])
 
 
 def motion_by_step(motions: Array, steps: Sequence[int]) -> dict[int, Image]:
