@@ -109,8 +109,10 @@ def test_weights_of_the_other_hole_test_are_trained_and_not_validated(data, tmp_
     save(authors, Weights(random(0), hole_test="paper"), {})
     with pytest.raises(InputError, match="hole test footprint, as the samples have it, found paper; stss methods"):
         validate([str(data), "--weights", authors, "--split", "validation"])
+    ours = str(tmp_path / "ours.safetensors")
+    save(ours, Weights(random(1), hole_test="footprint"), {})
     with pytest.raises(InputError, match="expected one hole test, found footprint and paper"):
-        average([authors, "antialiased", "-o", str(tmp_path / "mean.safetensors")])
+        average([authors, ours, "-o", str(tmp_path / "mean.safetensors")])
     run(data, tmp_path / "run", 4, "--initial", authors)
     validate(
         [str(data), "--weights", str(tmp_path / "run" / "weights.safetensors")]
