@@ -126,6 +126,19 @@ def test_reshade(stages, inputs):
     assert_same(stages.run_stage("reshade", planes)["reshade"], want)
 
 
+def test_a_weight_that_vanishes_in_a_dark_channel_is_none(stages):
+    """It is 2.6e-38; an eighth of it is no normal number, which the device may take for 0: no quotient of zeros is written."""
+    inputs = {
+        name: np.zeros((1, 20, 3), np.float32) for name in ("color", "warped", "position_previous", "position", "base_color")
+    }
+    inputs |= {name: np.zeros((1, 20), np.float32) for name in ("stencil_previous", "stencil")}
+    inputs |= {name: np.full((1, 20, 3), (0, 0, 1), np.float32) for name in ("normal_previous", "normal")}
+    inputs |= {"motion": np.full((1, 20, 2), np.inf, np.float32), "valid": np.arange(20)[None] != 10}
+    inputs["warped"][:] = 0.5
+    inputs["base_color"][0, [8, 12, 6, 14, 2, 18], 0] = 2.5e9
+    assert np.isfinite(stages.run_stage("reshade", inputs)["reshade"]).all()
+
+
 STEPS = ((1, 3, 5), (0, 2, 4), (1, 3, 3), (1, 1, 1), (0, 2, 2), (0, 0, 0), (2, 3, 5))
 
 
