@@ -27,6 +27,8 @@ from stss_ref.arrays import ArrayError
 from stss_ref.weights import Weights
 
 MOST_FLOAT16 = 1.0
+MOST_SHADED = 8000.0
+"""Times 8.1, the brightest material's share of light over the darkest's, it is a number of float16."""
 RMS = "_rms"
 """Added to an output's name: the root mean square of all its errors, over its limit."""
 MOST_BEFORE = BATCH - 1
@@ -279,10 +281,14 @@ class Judge:
     def round_inputs(self, arrays: Arrays, stage: str = "") -> dict[str, NDArray[Any]]:
         """``arrays`` as the port gets them: float32, rounded to numbers that its arithmetic has.
 
-        Stages of the network of a float16 port get no number beyond ``MOST_FLOAT16``, so that activations fit into float16, too.
+        Stages of the network of a float16 port get no number beyond ``MOST_FLOAT16``, so that activations fit into float16, too; its
+        stage reshade no colour beyond ``MOST_SHADED``.
         """
-        narrow = self.arithmetic.dtype == "float16" and stage in STAGES and STAGES[stage].weights
-        return {name: self.arithmetic.rounded(array, MOST_FLOAT16 if narrow else None) for name, array in arrays.items()}
+        most: dict[str, float] = {}
+        if self.arithmetic.dtype == "float16" and stage in STAGES:
+            most = dict.fromkeys(arrays, MOST_FLOAT16) if STAGES[stage].weights else {}
+            most |= dict.fromkeys(("color", "warped"), MOST_SHADED) if stage == "reshade" else {}
+        return {name: self.arithmetic.rounded(array, most.get(name)) for name, array in arrays.items()}
 
     def _round_once(self, arrays: Arrays, stage: str) -> dict[str, NDArray[Any]]:
         """`round_inputs`, kept for the last cases: a property asks and compares with the same mapping."""
