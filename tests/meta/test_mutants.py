@@ -65,7 +65,7 @@ def test_a_fault_is_one(mutant):
     """It applies, runs, and shows in every stage whose tests must catch it."""
     port = mutant.port()
     for stage in (mutant.stage, *mutant.also):
-        assert is_found_out(port, stage, bits=mutant.bits, large=mutant.large), stage
+        assert is_found_out(port, stage, bits=mutant.bits, large=mutant.large), f"{stage}: no sample shows it; is it large?"
 
 
 @pytest.mark.parametrize("mutant", [mutant for mutant in MISTAKES if mutant.bits], ids=by_id)
