@@ -6,7 +6,7 @@ Windows lie around corners that tiles of 64, 128, 256 and 512 have in common, ar
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -20,7 +20,7 @@ from conformance.answers.port_arithmetic import Arithmetic, in_float64
 from conformance.protocol.array_specs import ArraySpec
 from conformance.protocol.layers import PADDED
 from conformance.protocol.port import Outputs
-from conformance.protocol.reference_copy import load, put
+from conformance.protocol.reference_copy import Plant, load, put
 from conformance.protocol.stages import STAGES, check_inputs, network_inputs
 from stss_ref.resample import lerp_along, pad_to_8
 from stss_ref.weights import Weights, astype
@@ -82,12 +82,12 @@ def expect_windows(
     first = slice(0, SAMPLE * SPARSE.get(network, 1))
     bounds = expect_with_weights(network, _part(stage, inputs, weights, (first, first)), weights, arithmetic)
     whole = (-(-height // 8) * 8, -(-width // 8) * 8) if stage in PADDED else (height, width)
-    specs, network_part = STAGES[network].outputs, NetworkPart(network, weights, whole)
+    specs, network_part = STAGES[network].outputs, NetworkPart(network, astype(weights, np.dtype(np.float64)), whole)
     for window in windows:
-        around = _around(window, whole, network_part.reach)
+        around = network_part.around(window)
         got = network_part.run(_part(stage, inputs, weights, around), window)
         yield Window(
-            *window, {name: (_place(specs[name], window), replace(bounds[name], want=want)) for name, want in got.items()}
+            *window, {name: (place_of(specs[name], window), replace(bounds[name], want=want)) for name, want in got.items()}
         )
 
 
@@ -99,9 +99,12 @@ def _part(stage: str, inputs: Inputs, weights: Weights, around: Part) -> Inputs:
         part = _cut("network", network_inputs(_cut(stage, inputs, wide), weights), around, wide)
     else:
         part = _cut(stage, inputs, around)
-    if stage not in PADDED:
-        return part
-    return {name: pad_to_8(array[..., None])[..., 0] if name == "mask" else pad_to_8(array) for name, array in part.items()}
+    return pad_inputs(part) if stage in PADDED else part
+
+
+def pad_inputs(inputs: Inputs) -> Inputs:
+    """The network's inputs, as it pads them."""
+    return {name: pad_to_8(array[..., None])[..., 0] if name == "mask" else pad_to_8(array) for name, array in inputs.items()}
 
 
 class NetworkPart:
@@ -111,42 +114,43 @@ class NetworkPart:
 
     Args:
         stage: its name.
-        weights: float32.
+        weights: of the inputs' dtype.
         whole: (H, W) of the frame.
-
-    Attributes:
-        reach: how far around a window the inputs are needed; input pixels.
+        plants: changes of the reference, but of ``upsample_corners``.
     """
 
-    def __init__(self, stage: str, weights: Weights, whole: Size):
+    def __init__(self, stage: str, weights: Weights, whole: Size, plants: Sequence[Plant] = ()):
         self._stages = FROM_IMAGE if stage == "network" else {stage: REACH[stage]}
-        self.reach = max(self._stages.values())
-        self._weights, self._whole = astype(weights, np.dtype(np.float64)), whole
+        self._weights, self._whole = weights, whole
         self._corners = _Corners(whole)
-        self._port = load("window", put("resample.upsample_corners", self._corners.upsample))
+        self._port = load("window", *plants, put("resample.upsample_corners", self._corners.upsample))
+
+    def around(self, window: Part) -> Part:
+        """The inputs that a window's numbers depend on."""
+        return _around(window, self._whole, max(self._stages.values()))
 
     def run(self, inputs: Inputs, window: Part) -> Inputs:
-        """The outputs in a window, from the inputs as far around it as ``reach``."""
-        arrays, origins = dict(inputs), dict.fromkeys(inputs, _around(window, self._whole, self.reach))
+        """The outputs in a window, from the inputs ``around`` it."""
+        arrays, origins = dict(inputs), dict.fromkeys(inputs, self.around(window))
         outputs: Mapping[str, ArraySpec] = {}
         for stage, reach in self._stages.items():
             around, specs, outputs = _around(window, self._whole, reach), STAGES[stage].inputs, STAGES[stage].outputs
-            part = {name: arrays[name][_place(spec, around, origins[name])] for name, spec in specs.items()}
+            part = {name: arrays[name][place_of(spec, around, origins[name])] for name, spec in specs.items()}
             self._corners.part = around
             arrays |= self._port.run(stage, part, self._weights)
             origins |= dict.fromkeys(outputs, around)
-        return {name: arrays[name][_place(spec, window, origins[name])] for name, spec in outputs.items()}
+        return {name: arrays[name][place_of(spec, window, origins[name])] for name, spec in outputs.items()}
 
 
 def _image_window(stage: str, inputs: Inputs, arithmetic: Arithmetic, outputs: Outputs, window: Part) -> Window:
     sizes = check_inputs(stage, inputs)
     around = _around(window, (sizes["H"], sizes["W"]), REACH.get(stage, IMAGE_REACH))
     specs = STAGES[stage].outputs
-    answer = {name: array[_place(specs[name], around)] for name, array in outputs.items()}
+    answer = {name: array[place_of(specs[name], around)] for name, array in outputs.items()}
     right = expect(stage, _cut(stage, inputs, around), None, arithmetic, answer)
     parts: dict[str, tuple[tuple[slice, ...], Expected]] = {}
     for name, expected in right.items():
-        parts[name] = _place(specs[name], window), expected.part(_place(specs[name], window, around))
+        parts[name] = place_of(specs[name], window), expected.part(place_of(specs[name], window, around))
     return Window(*window, parts)
 
 
@@ -161,10 +165,12 @@ def _around(window: Part, whole: tuple[int, int], reach: int) -> Part:
 def _cut(stage: str, inputs: Inputs, around: Part, origin: Part | None = None) -> Inputs:
     """A part of the inputs in float64; they are those of the part ``origin``, or of the whole frame."""
     specs = STAGES[stage].inputs
-    return in_float64({name: np.ascontiguousarray(array[_place(specs[name], around, origin)]) for name, array in inputs.items()})
+    return in_float64(
+        {name: np.ascontiguousarray(array[place_of(specs[name], around, origin)]) for name, array in inputs.items()}
+    )
 
 
-def _place(spec: ArraySpec, window: Part, origin: Part | None = None) -> tuple[slice, ...]:
+def place_of(spec: ArraySpec, window: Part, origin: Part | None = None) -> tuple[slice, ...]:
     """The place of this window in an array of a part of the frame that begins at ``origin``."""
     first = {"H": 0, "W": 0} if origin is None else {"H": origin[0].start, "W": origin[1].start}
     slices: list[slice] = []

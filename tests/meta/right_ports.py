@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from fractions import Fraction
 from functools import cache, partial
+from inspect import signature
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,11 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 import stss_ref.conv as plain
+from conformance.answers.windows import NetworkPart, pad_inputs, place_of, places
+from conformance.cases import large_inputs
+from conformance.protocol.layers import PADDED
 from conformance.protocol.reference_copy import Plant, Variant, load, put, returns, wrap
+from conformance.protocol.stages import STAGES, check_inputs
 from stss_ref import erm, occlusion_warp, resample, reshade, rrm, sample, warp
 
 Array = NDArray[Any]
@@ -255,6 +260,11 @@ HOW: dict[str, dict[str, Any]] = {
     "half_flush": {"entry": lambda x: flush_to_0(to_half(x), "float16"), "dtype": "float16"},
 }
 PLANTS["half_flush"] = (*PLANTS["half"], returns("motion_chain.chain_on", to_half))
+_OF_NETWORK = {
+    "history": "history.history_embedding",
+    **{stage: f"{stage}.{stage}" for stage in ("encoder", "erm", "decoder", "network")},
+}
+"""Its stages, and their functions."""
 PORTS = tuple(PLANTS)
 """Their names."""
 
@@ -262,3 +272,28 @@ PORTS = tuple(PLANTS)
 def port(name: str) -> Variant:
     """The one of this name."""
     return load(name, *PLANTS[name], **HOW.get(name, {}))
+
+
+def port_in_windows(name: str) -> Variant:
+    """The same, but that it computes frames of a user's size where they are judged alone, by its own functions: the whole takes minutes."""
+    in_windows = [wrap(function, partial(_in_windows, stage, PLANTS[name])) for stage, function in _OF_NETWORK.items()]
+    return load(name, *PLANTS[name], *in_windows, **HOW.get(name, {}))
+
+
+def _in_windows(stage: str, plants: Sequence[Plant], right: Callable[..., Any], *arguments: Any, **keywords: Any) -> Any:
+    """A stage of the network in the windows of a frame of a user's size, elsewhere 0; other sizes by ``right``."""
+    inputs = signature(right).bind(*arguments, **keywords).arguments
+    weights = inputs.pop("weights")
+    sizes = check_inputs(stage, inputs)
+    height, width = sizes["H"], sizes["W"]
+    if (height, width) not in large_inputs.USER_SIZES.values():
+        return right(*arguments, **keywords)
+    inputs, whole = pad_inputs(inputs) if stage in PADDED else inputs, (-(-height // 8) * 8, -(-width // 8) * 8)
+    part, given, specs = NetworkPart(stage, weights, whole, plants), STAGES[stage].inputs, STAGES[stage].outputs
+    outputs = {name: np.zeros(spec.shape(sizes), np.float32) for name, spec in specs.items()}
+    for window in places(height, width):
+        around = part.around(window)
+        got = part.run({name: array[place_of(given[name], around)] for name, array in inputs.items()}, window)
+        for name, array in got.items():
+            outputs[name][place_of(specs[name], window)] = array
+    return tuple(outputs.values()) if len(outputs) > 1 else outputs.popitem()[1]

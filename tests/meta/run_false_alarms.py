@@ -19,7 +19,7 @@ from conformance.judging.judge import TIERS, Judge
 from conformance.protocol.reference_copy import Copy, Variant
 from conformance.protocol.stages import STAGES
 from conformance.suite.run_suite import SEQUENCE, SUITE, run_suite
-from tests.meta.right_ports import HOW, PLANTS, PORTS, port
+from tests.meta.right_ports import HOW, PLANTS, PORTS, port_in_windows
 from tests.meta.samples import samples
 from tests.meta.tables import write_between
 
@@ -28,7 +28,7 @@ PAGE = Path(__file__).parents[2] / "docs" / "conformance.md"
 
 def judged(name, tier=TIERS["full"], stages=SUITE):
     """The tests a right port fails, its largest error / bound by stage, and the number of cases, undecided numbers and cases not judged."""
-    results = run_suite(Judge(port(name), tier), stages)
+    results = run_suite(Judge(port_in_windows(name), tier), stages)
     worst = dict.fromkeys(STAGES, 0.0)
     for result in results:
         for output, ratio in result.record.worst.items():

@@ -7,11 +7,13 @@ import sys
 import numpy as np
 import pytest
 
-from conformance.cases.large_inputs import large_inputs, network_case
+from conformance.answers.windows import place_of, places
+from conformance.cases import large_inputs
 from conformance.cases.stage_inputs import make_weights
 from conformance.judging.judge import Judge, Tier
 from conformance.protocol.stages import STAGES
-from tests.meta.right_ports import port
+from conformance.tolerance import ratio
+from tests.meta.right_ports import port, port_in_windows
 from tests.meta.run_false_alarms import judged, main, stands_for
 from tests.tiers import thorough
 
@@ -44,12 +46,12 @@ def test_every_stage_is_judged():
 
 def test_a_key_may_lose_what_is_no_normal_number():
     """Such a key in half has a few bits, or none: its direction decides whose light is read, so no port is asked for it."""
-    inputs, _ = network_case("erm", (16, 16), np.random.default_rng(0))
+    inputs, _ = large_inputs.network_case("erm", (16, 16), np.random.default_rng(0))
     case = inputs, make_weights("small keys", 0)
     Judge(port("half_flush")).check(lambda judge, drawn: judge.agrees("erm", *drawn), case)
 
 
-@pytest.mark.parametrize("case", large_inputs("motion_chain", 1))
+@pytest.mark.parametrize("case", large_inputs.large_inputs("motion_chain", 1))
 def test_a_chain_may_be_stored_in_half(case):
     """Its motion of thousands of pixels is off by several, and then may read any motion there."""
     Judge(port("half_flush")).check(lambda judge, inputs: judge.agrees("motion_chain", inputs), case(np.random.default_rng(0)))
@@ -71,3 +73,24 @@ def test_a_stopped_run_goes_on(monkeypatch, tmp_path, capsys):
         main()
     assert end.value.code == 1
     assert "cases" not in capsys.readouterr().out  # nothing was judged again
+
+
+@pytest.mark.parametrize("stage", ["history", "encoder", "erm", "decoder", "network", "frame"])
+def test_a_port_in_windows_is_the_port(stage, monkeypatch):
+    """There it has the whole's numbers, by sums in its own order; elsewhere it computed nothing."""
+    monkeypatch.setattr("conformance.answers.windows.SIDE", 16)
+    monkeypatch.setattr("conformance.answers.windows.TILE", 64)
+    monkeypatch.setattr("conformance.cases.large_inputs.USER_SIZES", dict.fromkeys(("quick", "full"), (88, 264)))
+    (make,) = large_inputs.user_inputs(stage, 99)
+    inputs, weights = make(np.random.default_rng(0))
+    case = Judge(port("as_is")).make_case(stage, inputs, weights)
+    whole, other, part = (
+        make(name).run(stage, case.inputs, case.weights)
+        for make, name in ((port, "in_order"), (port, "as_is"), (port_in_windows, "in_order"))
+    )
+    for name, spec in STAGES[stage].outputs.items():
+        judged = [place_of(spec, window) for window in places(88, 264)]
+        assert all(ratio("network.float32", part[name][place], whole[name][place]) < 1 for place in judged)
+        apart, changed = (sum(np.sum(x[name][place] != whole[name][place]) for place in judged) for x in (part, other))
+        assert apart < changed / 10
+        assert np.count_nonzero(part[name]) <= sum(part[name][place].size for place in judged)
