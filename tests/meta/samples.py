@@ -128,11 +128,12 @@ def _reshade(generator: np.random.Generator) -> Any:
         pairs = zip(("stencil", "normal", "position"), before, now, strict=True)
         inputs = {key: a for name, b, n in pairs for key, a in ((f"{name}_previous", b), (name, n))}
         inputs["color"], inputs["warped"] = generator.uniform(-0.3, 1.3, (2, *size, 3))
-        inputs["motion"], inputs["base_color"] = motion(generator, size, kind) / 2, generator.random((*size, 3))
+        inputs["motion"], inputs["base_color"] = motion(generator, size, kind) / 2, generator.uniform(-0.3, 1.3, (*size, 3))
         inputs["valid"] = (generator.random(size) < 0.5).astype(np.uint8)
         yield inputs, None
     inputs["normal"] = inputs["normal"] + (generator.random((*size, 1)) < 0.1) * FAINT
     yield inputs, None
+    yield {**inputs, "normal": inputs["normal"] * 0.4}, None  # mixed with a background
 
 
 def _rrm(generator: np.random.Generator) -> Any:
