@@ -6,7 +6,7 @@ A random generator makes them and Hypothesis does not draw them, since a smaller
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from functools import partial
 from typing import Any
 
@@ -19,9 +19,12 @@ from conformance.cases.stage_inputs import Inputs, make_weights
 from stss_ref.constants import HOLE_FILLS, HoleFill
 from stss_ref.weights import SECOND_COLORS, SecondColor, Weights
 
-IMAGE_SIZES: tuple[Size, ...] = ((2, 4500), (4500, 2), (540, 960), (65, 129), (129, 66), (65_601, 1), (1, 65_601), (1080, 1920))
-"""(H, W) for the image stages. The first two have as many pixels, the third is a usual frame; then more columns or rows than 16 bits
-count."""
+IMAGE_SIZES: tuple[Size, ...] = (
+    *((2, 4500), (4500, 2), (270, 480), (65, 129)),
+    *((540, 960), (129, 66), (65_601, 1), (1, 65_601), (1080, 1920)),
+)
+"""(H, W) for the image stages. The first two have as many pixels, the third more than 16 bits count. The fifth is a usual frame, which
+every tier judges in windows, too (`user_inputs`). Then more columns or rows than 16 bits count."""
 _OVER = 1, 7, 9, 15, 17, 23, 25, 31
 ODD_SIZES: tuple[Size, ...] = tuple((32 + h, 32 + w) for h, w in zip(_OVER, (*_OVER[3:], *_OVER[:3]), strict=True))
 """(H, W) for the image stages, small: tiles of 8, 16 and 32 leave little over, nearly all, or half and a little more or less, both ways."""
@@ -46,6 +49,8 @@ TWICE = ("decoder", "network", "frame", "accumulate")
 """Stages with arrays of twice the rows and columns."""
 IN_FULL = ("history", "encoder", "erm", "decoder")
 """Stages that only the full tier judges at such a size."""
+IN_ANOTHER = {"network": "frame"}
+"""Stages that the quick tier judges at such a size as a part of another one, where the port has that: both take as long."""
 IN_QUICK: dict[str, Size] = {"encoder": (264, 272), "decoder": (264, 272)}
 """(H, W) of more than 65,536 pixels, at which the quick tier judges some of them in windows; `HISTORY_SIZES` has it for history."""
 FEW = 4
@@ -234,11 +239,17 @@ def _on_other_numbers(make: MakeCase, rng: Generator) -> Any:
     return make(rng.spawn(1)[0])
 
 
-def user_inputs(stage: str, most: int, side: int | None = None, *, fine: bool = True) -> tuple[MakeCase, ...]:
-    """The cases of a stage that are judged in windows, at sizes of users: none that a port does not take.
+def user_inputs(
+    stage: str, most: int, side: int | None = None, stages: Collection[str] = (), *, fine: bool = True
+) -> tuple[MakeCase, ...]:
+    """The cases of a stage that are judged in windows, at sizes of users: none that a port does not take; other arguments as below.
 
-    ``fine`` is of `frame_case`, and not for ports in 16 bits, whose chained motion loses ``FINE``.
+    Args:
+        stages: the port's.
+        fine: of `frame_case`, and not for ports in 16 bits, whose chained motion loses ``FINE``.
     """
+    if most <= FEW and IN_ANOTHER.get(stage) in stages:
+        return ()
     sizes = [_fitting_size(stage, size) for size in user_sizes(stage, most, side)]
     if stage == "frame":
         # Stage reshade is judged at these sizes by itself: the reference's fill of so many holes takes longer than all the rest.
@@ -270,7 +281,7 @@ def user_sizes(stage: str, most: int, side: int | None = None) -> tuple[Size, ..
 
 def _sizes(stage: str) -> tuple[Size, ...]:
     if stage == "accumulate":  # its images are twice as large
-        return tuple((270, 480) if size == (540, 960) else size for size in IMAGE_SIZES[:-1])
+        return tuple(size for size in IMAGE_SIZES[:-1] if size != (540, 960))
     if stage in _IMAGE:  # all of rrm's largest frame is judged, and at once
         return IMAGE_SIZES if stage != "rrm" else (IMAGE_SIZES[-1], *IMAGE_SIZES[:-1])
     if stage in ("history", "erm"):

@@ -94,9 +94,11 @@ def agrees_in_windows(stage: str) -> Test:
         """A frame of 720 x 1280 or 1080 x 1920 agrees, too, around the corners of tiles, and in its last rows."""
         yield from judge.agrees_in_windows(stage, *(case if STAGES[stage].weights else (case,)))
 
-    return cases_of(
-        lambda judge: user_inputs(stage, judge.tier.large, judge.largest_side, fine=judge.arithmetic.dtype == "float32")
-    )(body)
+    def makers(judge: Judge) -> Makers:
+        fine = judge.arithmetic.dtype == "float32"
+        return user_inputs(stage, judge.tier.large, judge.largest_side, judge.stages, fine=fine)
+
+    return cases_of(makers)(body)
 
 
 def same_twice(stage: str, decorate: Callable[[Body], Test]) -> Test:

@@ -144,7 +144,7 @@ def test_an_index_in_float32_is_found_at_a_users_size(monkeypatch: pytest.Monkey
             index = np.arange(len(flat))
             return {"image": flat[np.where(index > 150_000, index // 2 * 2, index)].reshape(image.shape)}
 
-    (result,) = run_suite(Judge(IndexedPort(), Tier("some", 1, 1, 4)), ["network"], only="users_size")
+    (result,) = run_suite(Judge(IndexedPort(), Tier("some", 1, 1, 4)), ["frame"], only="users_size")
     assert result.outcome == "failed"
     assert "in the window at row 128, column 268 of the inputs" in result.message
     (result,) = run_suite(Judge(ReferencePort(), Tier("some", 1, 1, 4)), ["frame"], only="users_size")
