@@ -24,7 +24,7 @@ NORMAL = 2.0
 DISTANCE = 0.25
 """Factor of the squared distance, in pixels, in a weight on a background, which has neither."""
 FLOOR = 2.0**-6
-"""What a surface of black base colour still reflects, as a base colour."""
+"""Added to base colours: a surface of black base colour reflects, too."""
 UNMIXED = 0.25
 """Smallest squared length of the normal of one surface. A shorter one is a mean with a background, and so is its base colour."""
 
@@ -48,8 +48,8 @@ def reshade(
     surface (`shows_surface`). A hole that has none, and any of a moving object, takes ``a(p) l`` with the light ``l`` for which ``sum
     w(q) (a(q) l - c(q))^2`` is least, ``sum w(q) a(q) c(q) / sum w(q) a(q)^2``, over the pixels ``q = p + s (i, j)`` of its object,
     of each ``s`` of ``STEPS`` and all whole ``i`` and ``j`` with ``max(|i|, |j|) = REACH``, that are no holes, where ``c`` is the
-    warped colour, or holes with samples of their own, where ``c`` is their mean. ``a`` is what the base colour ``b`` makes of light
-    (`brightness`), and 1 for all ``q`` of a hole that `is_mixed`; ``w(q) = (1 + |b(q) - b(p)|_1 + 2 |n(q) - n(p)|^2)^-4`` with the
+    warped colour, or holes with samples of their own, where ``c`` is their mean. ``a`` is the `brightness` of the base colour
+    ``b``, and 1 for all ``q`` of a hole that `is_mixed`; ``w(q) = (1 + |b(q) - b(p)|_1 + 2 |n(q) - n(p)|^2)^-4`` with the
     normal ``n``. A background, whose normal is 0, takes from background alone, the nearer the more: ``w(q) = (1 + |b(q) - b(p)|_1 +
     |q - p|^2 / 4)^-4``. Without any a hole takes the mean of its own samples, or stays as it is warped. Colours below 0 count as 0.
 
@@ -203,7 +203,7 @@ def likeness(base_color: Array, own_base_color: Array, normal: Array, own_normal
 
 
 def brightness(base_color: Array, mixed: Mask) -> Array:
-    """What base colours (..., N, 3) make of light 1 in display-referred colour: ``sqrt(min(max(b, 0), 1) + FLOOR)``.
+    """The display-referred colours of base colours (..., N, 3) in light 1: ``sqrt(min(max(b, 0), 1) + FLOOR)``.
 
     A root, as display curves are near one. For those of N holes that are ``mixed`` (N,) it is 1, whatever the base colour.
     """

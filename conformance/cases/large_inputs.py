@@ -90,7 +90,7 @@ Moving = Callable[[Generator, Size], NDArray[np.float64]]
 
 
 def _warp(moving: Moving, size: Size, rng: Generator) -> Inputs:
-    """Three channels; in windows so many that 1080 x 1920 pixels have more numbers than float32 counts."""
+    """Three channels; nine in windows, where 1080 x 1920 pixels have more numbers than float32 counts."""
     channels = 9 if moving is short_motion else 3
     return {"color": rng.random((*size, channels), np.float32), "motion": moving(rng, size)}
 

@@ -154,7 +154,7 @@ def planted_port(mistake: Mistake) -> Variant:
 
 
 def _distance(mistake: Mistake, answered: _Answer) -> float:
-    """How far a port's wrong numbers are from a mistake's, as a part of their distance from the truth; infinite: it does not explain them.
+    """The distance of a port's wrong numbers from a mistake's, as a share of that from the truth; infinite: it does not explain them.
 
     It explains them if its own numbers are wrong there, too, and nearer to the port's than the truth is; and if it gives the port's
     numbers, within twice their bound, wherever those are right. Fewer bits are looked for in all numbers of an output together: after

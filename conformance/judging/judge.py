@@ -40,7 +40,7 @@ MOST_SILENT = 2
 MOST_ROUNDED = 2 * BATCH
 """Most inputs that are remembered in the form that the port gets: a program's cases are written first, and compared later."""
 MOST_RIGHT, MOST_NUMBERS = 64, 2**16
-"""Most right answers that are remembered, each for inputs of up to so many numbers."""
+"""Most right answers that are remembered, and most numbers in the inputs of each."""
 MOST_WEIGHTS = 128
 """Most sets of weights that are remembered in the form that the port gets; one test has fewer."""
 

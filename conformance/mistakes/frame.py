@@ -244,7 +244,7 @@ FRAME = (
     _frame(
         "hole_fill_ignored", "always the occlusion warp", change_arguments("frame.prepare", hole_fill=lambda _: "occlusion_warp")
     ),
-    _frame("filled_everywhere", "fills what needs no filling", change_arguments("frame.fill", valid=np.zeros_like)),
+    _frame("filled_everywhere", "fills valid pixels, too", change_arguments("frame.fill", valid=np.zeros_like)),
     _frame("history_newest_first", "history newest first", returns("frame.stack_history", lambda history: history[::-1])),
     _frame(
         "history_mask_of_newest",

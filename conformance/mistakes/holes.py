@@ -312,9 +312,7 @@ OCCLUSION_WARP = (
     _looked_up("added_to_motion", "the new motion added to the one before", lambda result, motion: result + motion),
     _fill("second_sign", "the new motion with the other sign", change_arguments("occlusion_warp.read_along", motion=np.negative)),
     _fill("unfilled", "holes are left as they are", change_arguments("occlusion_warp.occlusion_warp", valid=np.ones_like)),
-    _fill(
-        "filled_everywhere", "fills what needs no filling", change_arguments("occlusion_warp.occlusion_warp", valid=np.zeros_like)
-    ),
+    _fill("filled_everywhere", "fills valid pixels, too", change_arguments("occlusion_warp.occlusion_warp", valid=np.zeros_like)),
     _fill("valid_inverted", "fills all but the holes", change_arguments("occlusion_warp.occlusion_warp", valid=np.logical_not)),
     _fill(
         "raster_65535",

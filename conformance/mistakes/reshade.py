@@ -76,7 +76,7 @@ def _mean_of_lights(copy: Copy) -> None:
 
 
 def _in_place(copy: Copy) -> None:
-    """What a moving object's hole takes is the source of those after it."""
+    """Colours that holes of moving objects have taken are sources of the holes after them."""
     brightness, is_mixed = copy.get("reshade.brightness"), copy.get("reshade.is_mixed")
 
     def like_sums(right: Change, color: Any, is_source: Any, stencil: Any, normal: Any, base_color: Any, y: Any, x: Any) -> Any:
@@ -168,7 +168,7 @@ def _valid_of(function: Change, arguments: Any, keywords: Any) -> Any:
 
 RESHADE = (
     _takes("unfilled", "holes are left as they are", valid=np.ones_like),
-    _takes("filled_everywhere", "fills what needs no filling", valid=np.zeros_like),
+    _takes("filled_everywhere", "fills valid pixels, too", valid=np.zeros_like),
     _takes("valid_inverted", "fills all but the holes", valid=lambda valid: (valid == 0).astype(valid.dtype)),
     _takes("stencil_of_now", "this frame's object numbers for the earlier ones", stencil_previous=lambda _, stencil: stencil),
     _takes("normal_of_now", "this frame's normals for the earlier ones", normal_previous=lambda _, normal: normal),
@@ -205,7 +205,7 @@ RESHADE = (
     _reshade("reach_3", "rings of 7 x 7 places", put("reshade.REACH", 3)),
     _reshade("no_widest", "no ring with steps of 32 pixels", put("reshade.STEPS", (1, 2, 4, 8, 16)), large=True),
     _reshade("no_nearest", "no ring with steps of a pixel", put("reshade.STEPS", (2, 4, 8, 16, 32))),
-    _reshade("whole_squares", "what lies within a ring counts, too", put("reshade.ring_rows", _whole_squares)),
+    _reshade("whole_squares", "all places within a ring count, too", put("reshade.ring_rows", _whole_squares)),
     _reshade("first_ring", "the first ring that has a source, alone", _nearest),
     _reshade("clamped_rings", "the nearest pixel for a place outside", returns("reshade.ring_rows", _all_there)),
     _reshade("samples_no_sources", "holes with samples are no sources", _samples_no_sources),
@@ -250,7 +250,7 @@ RESHADE = (
         "a moving object's holes take their own samples, too",
         returns("reshade.like_sums", lambda got, is_source, y, x: (got[0], got[1] * ~is_source[y, x][:, None])),
     ),
-    _reshade("in_place", "what a moving object's holes take are sources of others", _in_place),
+    _reshade("in_place", "colours of moving objects' holes are sources of others", _in_place),
     _reshade("mean_of_lights", "the mean of the sources' lights", _mean_of_lights),
     _reshade(
         "one_total",
@@ -264,7 +264,7 @@ RESHADE = (
     ),
     _reshade(
         "mixed_by_length",
-        "mixed is what has a normal shorter than 1/4",
+        "pixels with a normal shorter than 1/4 are mixed",
         put("reshade.is_mixed", lambda normal: np.asarray((normal * normal).sum(axis=-1) < UNMIXED**2)),
     ),
     _reshade(

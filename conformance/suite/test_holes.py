@@ -61,7 +61,7 @@ def test_a_lost_position_is_a_hole(judge: Judge, case: tuple[Size, int, float]) 
 
 
 WORLDS = st.sampled_from([(-512.0, 1.0), (0.25, 1.0), (64.0, 1.0), (0.0, -8.0), (0.0, 0.25), (0.0, 1024.0)])
-"""How far the whole world is moved, and how many units it then has in one."""
+"""A distance that the whole world is moved by, and a factor of its unit."""
 
 
 @cases(st.tuples(sizes(12), SEEDS, WORLDS, st.permutations(range(3))))

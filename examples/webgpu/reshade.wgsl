@@ -59,7 +59,7 @@ fn likeness(index: i32, own: i32, away: i32) -> f32 {
     return 1.0 / (square * square);
 }
 
-// What a base colour makes of light 1; 1 for holes whose own base colour is a mean with a background's.
+// The display-referred colour of a base colour in light 1; 1 for holes whose own base colour is a mean with a background's.
 fn brightness(index: i32, is_mixed: bool) -> vec3<f32> {
     return select(sqrt(clamp(base_color_at(index), vec3<f32>(0.0), vec3<f32>(1.0)) + 0.015625), vec3<f32>(1.0), is_mixed);
 }

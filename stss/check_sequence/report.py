@@ -366,7 +366,7 @@ def _with_motion(sequence: Sequence, pairs: list[tuple[int, int]]) -> tuple[list
 
 
 def _extent(sample: list[int], count: int, *, all_values: bool) -> str:
-    """How much of the sequence the findings are about."""
+    """The part of the sequence that the findings are about."""
     some = f"of {len(sample)} of {count} frames ({', '.join(map(str, sample))})"
     if all_values:
         return f"looked at: values of all frames that have every buffer; motion and positions {some}"

@@ -33,7 +33,7 @@ FIRST_TIMEOUT = 3600.0
 MIN_TIMEOUT, TIMEOUT_FACTOR = 60.0, 10.0
 """Workers count as hung if no chunk arrives for these seconds and for this multiple of the slowest chunk's duration."""
 MAX_FAILURES = 3
-"""How many times in a row workers may die or hang before a chunk comes in."""
+"""Most times in a row that workers may die or hang before a chunk comes in."""
 
 
 def run_on_cluster(
@@ -89,7 +89,7 @@ class _Run:
         """Display frame -> why it ended its chunk."""
         self._backend = ""
         self._failures = 0
-        """How many times in a row workers died or hung."""
+        """Times in a row that workers died or hung."""
         self._slowest: float | None = None
         """Seconds of a chunk."""
 

@@ -35,7 +35,7 @@ class LocalWorkers:
         return (BrokenExecutor,)
 
     def count(self) -> int:
-        """How many there are now; 1 at least."""
+        """Their number now; 1 at least."""
         return self._count
 
     def start(self) -> Executor:

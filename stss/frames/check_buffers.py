@@ -33,7 +33,7 @@ class _Plane(NamedTuple):
 
     @property
     def slack(self) -> float:
-        """How far beyond its range a value may lie."""
+        """Allowed distance of a value from its range."""
         return ROUNDING if self.most == 1 else 0.0
 
 

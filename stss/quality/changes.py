@@ -39,7 +39,7 @@ class Follower:
         self._last: DisplayFrame | None = None
 
     def flicker(self, number: int, frame: OutputAndTruth, before: OutputAndTruth) -> float | None:
-        """How much the change of frame ``number`` since the one before it differs from the truth's: ``mean |d - d*|``.
+        """The difference of the change of frame ``number`` since the one before it from the truth's: ``mean |d - d*|``.
 
         ``d(p) = out_t(p) - out_{t-1}(p + motion_t(p))``, and ``d*`` is the same of the truth. The mean is over the pixels whose motion
         leads into the frame and to the same surface (spec 4). Motion and holes come from the low-resolution G-buffer, whose pixels

@@ -236,7 +236,7 @@ def describe(sequence: Sequence, options: RunOptions, method: str, backend: str,
 
 
 def keys_of(sequence: Sequence, rendered: frozenset[int], options: RunOptions, metadata: dict[str, str], window: int) -> Keys:
-    """The keys of a run whose files have this metadata, and whose outputs depend on so many display frames."""
+    """The keys of a run whose files have this metadata, and whose outputs depend on ``window`` display frames."""
     settings: dict[str, object] = {**metadata, "format": options.format, "also": options.also, "read": sequence.settings}
     return Keys(sequence, rendered, options.cuts, settings, window)
 

@@ -350,7 +350,7 @@ static float likeness(const float *base_color, const float *own_base_color, cons
     return 1.0f / (square * square);
 }
 
-// What a base colour makes of light 1, in one channel; 1 for holes whose own base colour is a mean with a background's.
+// The display-referred colour of a base colour in light 1, one channel; 1 for holes whose own base colour is a mean with a background's.
 static float brightness(float base_color, bool is_mixed) {
     return is_mixed ? 1.0f : std::sqrt(std::min(std::max(base_color, 0.0f), 1.0f) + FLOOR);
 }
@@ -360,8 +360,8 @@ static Image reshade(const Image &color, const Image &warped, const Image &motio
                      const Surface &current, const Image &base_color) {
     Image filled = warped;
     for (float &value : filled.data) value = std::max(value, 0.0f);
-    // First the holes that have samples of their own: they are sources for the others. Not the four taps of a bilinear reading: what lies
-    // outside the frame is no sample.
+    // First the holes that have samples of their own: they are sources for the others. Not the four taps of a bilinear reading:
+    // pixels outside the frame are no samples.
     Mask source = valid;
     each_pixel(filled, [&](int y, int x) {
         const Place to = follow(motion, y, x);
@@ -377,7 +377,7 @@ static Image reshade(const Image &color, const Image &warped, const Image &motio
         for (int c = 0; c < 3; ++c) filled.at(y, x)[c] = sum[c] / count;
         *source.at(y, x) = 1;
     });
-    // A moving object's samples are known by their normals alone: its holes look around, too. What they take is no source.
+    // A moving object's samples are known by their normals alone: its holes look around, too. Their colours are no sources.
     const Image sources = filled;
     each_pixel(filled, [&](int y, int x) {
         if (*valid.at(y, x) || (*source.at(y, x) && *current.stencil.at(y, x) == 0.0f)) return;
@@ -450,7 +450,7 @@ static Image accumulate(const Image &image, const std::vector<Image> &earlier, c
     throw std::runtime_error(path.string() + ": " + what);
 }
 
-// Output channels that are computed together: a loop over so many becomes vector instructions. Weights of channels beyond the
+// Output channels that are computed together: a loop over them becomes vector instructions. Weights of channels beyond the
 // last are 0, and their results are not written.
 constexpr int LANES = 8;
 
@@ -854,7 +854,7 @@ static std::string text_of(const Shape &shape) {
     return "(" + text + (shape.size() == 1 ? ",)" : ")");
 }
 
-// Whether an array takes exactly so many bytes. A file may claim any sizes: their product must not overflow.
+// Whether the size of an array is exactly `bytes`. A file may claim any sizes: their product must not overflow.
 static bool fills(const Shape &shape, size_t item, size_t bytes) {
     size_t needed = item;
     for (const size_t n : shape) {
@@ -1058,7 +1058,7 @@ public:
         for (std::string word; words >> word && !(finite = word == "finite"); ++axis) {
             const bool letter = std::isalpha((unsigned char)word[0]), multiple = word.size() > 1 && std::isalpha((unsigned char)word[1]);
             const size_t over = letter && word.size() > 1 ? word[2] - '0' : 1;  // H/8
-            fits = fits && axis < shape.size() && shape[axis] < (1 << 20);      // far below what an int or a float's 24 bits hold
+            fits = fits && axis < shape.size() && shape[axis] < (1 << 20);      // far below the limits of an int and of a float's 24 bits
             if (!fits) continue;
             const size_t size = shape[axis] * over;
             fits = size == (letter ? sizes_.emplace(word[0], size).first->second : std::stoul(word) * (multiple ? sizes_.at(word[1]) : 1));
