@@ -83,7 +83,7 @@ INLINE Boxes boxes_of(global const float *image, const int x, const int y, const
     return boxes;
 }
 
-// How far an earlier image, moved and clamped into the boxes, lies from the four pixels.
+// The differences of an earlier image, moved and clamped into the boxes, from the four pixels.
 typedef struct {
     Two top, bottom;
 } Apart;
@@ -118,7 +118,8 @@ INLINE int8 are_inside(const Place at, const int rows, const int columns)
     return (int8)(a, a, a, b, b, b, 0, 0);
 }
 
-// How much of its share an earlier image keeps. Where motion is NaN it leads out of the frame, and nothing reads this.
+// The part of its share that an earlier image keeps. Where motion is NaN it leads out of the frame, and nothing reads
+// this.
 INLINE float slowness(const float2 motion)
 {
     return SLOW * SLOW / fmax(dot(motion, motion), SLOW * SLOW);

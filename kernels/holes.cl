@@ -71,8 +71,8 @@ static __attribute__((noinline)) bool is_turned(const float4 of, const float4 ea
 INLINE float3 normal_between(global const float *normal, const Taps at, const int stride)
 {
     const int south = at.nw + at.below;
-    const float3 nw = normal_at(normal, at.nw, stride), ne = normal_at(normal, at.nw + at.right, stride);
-    const float3 sw = normal_at(normal, south, stride), se = normal_at(normal, south + at.right, stride);
+    const float3 nw = triple_at(normal, at.nw, stride), ne = triple_at(normal, at.nw + at.right, stride);
+    const float3 sw = triple_at(normal, south, stride), se = triple_at(normal, south + at.right, stride);
     return BILINEAR(nw, ne, sw, se, at.fx, at.fy);
 }
 
@@ -93,7 +93,7 @@ INLINE bool same_surface(const Taps at, const int x, const int y, const int heig
                        FOOTPRINTS * FOOTPRINTS * squared_footprint(position, x, y, height, width)))
         return false;
 #endif
-    return !is_turned((float4)(normal_at(normal, pixel, normal_stride), 0.0f),
+    return !is_turned((float4)(triple_at(normal, pixel, normal_stride), 0.0f),
                       (float4)(normal_between(normal_previous, at, normal_stride), 0.0f),
                       s == 0.0f ? STATIC_COSINE : COSINE);
 }
