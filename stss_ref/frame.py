@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -100,13 +100,12 @@ def prepare(
     warped, valids = [w for w, _ in pairs], [valid for _, valid in pairs]
     color = two_colors(fill(inputs, warped[0], valids[0], motions.get(inputs.steps[0]), hole_fill), warped[0])
     if second == "detail":
-        color[..., 3:] = detail_of(inputs, inputs.colors, color[..., :3])
+        color[..., 3:] = detail_of(inputs, motions, inputs.colors, color[..., :3])
     return NetworkInputs(color, inputs.gbuffer, valids[0].astype(color.dtype), stack_history(warped, valids))
 
 
-def detail_of(inputs: FrameInputs, colors: Array, first: Image) -> Image:
-    """The detail (H, W, 3) of three colour frames, warped as those of ``inputs`` are, that ``first`` lacks (`detail`)."""
-    motions = motion_by_step(inputs.motions, inputs.steps)
+def detail_of(inputs: FrameInputs, motions: Mapping[int, Image], colors: Array, first: Image) -> Image:
+    """The detail (H, W, 3) of three colour frames, warped by ``motions`` of `motion_by_step`, that ``first`` lacks (`detail`)."""
     moved = [i for i, step in enumerate(inputs.steps) if step in motions and not is_missing(inputs.steps, i)]
     return detail(first, inputs.stencils[0], [(colors[i], motions[inputs.steps[i]], inputs.stencils[i + 1]) for i in moved])
 

@@ -41,7 +41,7 @@ from stss_ground.output.write_whole import whole_folder
 from stss_ground.terminal import echo
 from stss_ref.arrays import Array, Image
 from stss_ref.constants import HOLE_FILLS, HoleFill
-from stss_ref.frame import FrameInputs, NetworkInputs, detail_of, prepare
+from stss_ref.frame import FrameInputs, NetworkInputs, detail_of, motion_by_step, prepare
 from stss_ref.resample import upsample_centres
 from stss_ref.schedule import FrameKind
 from training.command import command
@@ -103,7 +103,8 @@ def _motion(before: DisplayFrame, now: DisplayFrame) -> Image:
 def details(inputs: FrameInputs, hole_fill: HoleFill) -> Image:
     """The second colour "detail" of R, G and B apart, (H, W, 9): across, down, level. Augmentation lets the colours change places."""
     first = prepare(inputs, hole_fill=hole_fill).color[..., :3]
-    planes = [detail_of(inputs, *(np.repeat(x[..., c : c + 1], 3, axis=-1) for x in (inputs.colors, first))) for c in range(3)]
+    motions, pair = motion_by_step(inputs.motions, inputs.steps), (inputs.colors, first)
+    planes = [detail_of(inputs, motions, *(np.repeat(x[..., c : c + 1], 3, axis=-1) for x in pair)) for c in range(3)]
     return np.stack(planes, axis=-1).reshape(*inputs.nov.shape, 9)
 
 
