@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import NDArray
 
 UNIT = {"float64": 2.0**-53, "float32": 2.0**-24, "float16": 2.0**-11, "bfloat16": 2.0**-8}
 """Unit roundoff: the largest relative error of one correctly rounded operation."""
@@ -91,9 +91,6 @@ BOUNDS = {
         2 * (2 * 32 + 3 * 25 + 4), 0, "32-term dot products, 25-term sums of products, one quotient; scale: on |inputs|"
     ),
     "metric.sum": Bound(2 * 64, 0, "means of up to 2**32 terms by pairwise summation: 32 roundings and the terms' own"),
-    "conv.stride_2": Bound(
-        2, 0, "scale 9 C: every product at most 1 in mean square by the tests' weights, gamma_n to first order"
-    ),
     "stage.cl": Bound(0, 2e-5, "required of the whole network; no stage may lose more"),
     # the OpenCL backend's
     "network.cl.float32": Bound(0, 2e-5, "required with Winograd; measured 5e-7 (PoCL 3.0, x86-64)"),
@@ -111,21 +108,6 @@ BOUNDS = {
     "network.peer": Bound(0, 2e-5, "float32 by another engine; OpenVINO 2026.4 departs by 5e-6 at 960 x 544 (Zen 4)"),
     "warp.published": Bound(0, 1e-5, "required: ExtraNet's published float32 colours in [0, 1]"),
 }
-
-
-def sum_bound(terms: int, absolute: NDArray[Any], dtype: DTypeLike) -> NDArray[Any]:
-    """Bound on the difference of two sums of ``terms`` products in ``dtype``: ``2 gamma_n |a| . |b|`` (Higham, section 3.1).
-
-    Args:
-        terms: products in one sum, the bias and one rounding for it included.
-        absolute: the sum on absolute values, in float64.
-        dtype: the arithmetic of both.
-
-    Returns:
-        As ``absolute``.
-    """
-    unit = UNIT[np.dtype(dtype).name]
-    return 2 * terms * unit / (1 - terms * unit) * absolute
 
 
 def ratio(row: str, got: NDArray[Any], want: NDArray[Any], scale: NDArray[Any] | float = 0.0) -> float:

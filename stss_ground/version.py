@@ -1,6 +1,4 @@
 # SPDX-License-Identifier: MIT
-"""The version, and the name under which it is distributed."""
+"""The version of the distribution ``spacetime-supersampling``; on the package index ``stss`` is another project."""
 
 VERSION = "0.1.0"
-DISTRIBUTION = "spacetime-supersampling"
-"""The name that ``pip`` lists: on the package index ``stss`` is another project. This one is on no index yet."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from conformance.answers.network import TAIL
 from conformance.graph.model import Model
 from conformance.graph.operators import OPERATORS, Node, UnsupportedError, window_of
 from conformance.graph.rounding import AnyArray, Result, Rounding
@@ -16,8 +17,6 @@ from conformance.tolerance import BOUNDS, worst
 Arrays = Mapping[str, AnyArray]
 RUNS = 3
 """Runs with random changes, for a tensor that depends on tensors that the port did not return."""
-TAIL = 4.0
-"""The largest of many normal deviations, in rms; where a few are larger, these count."""
 
 
 @dataclass(frozen=True, eq=False)

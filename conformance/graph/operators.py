@@ -18,6 +18,7 @@ from conformance.answers.port_arithmetic import Arithmetic
 from conformance.graph.rounding import AnyArray, Result, Rounding
 from conformance.graph.windows import TRANSFORMATIONS, Window, coordinates, nearest
 from conformance.tolerance import BOUNDS
+from stss_ref.conv import sigmoid
 
 
 @dataclass(frozen=True)
@@ -157,12 +158,6 @@ def _function(name: str, function: Callable[[AnyArray], AnyArray], roundings: fl
         return r.lose(function(x), roundings, 1.0 if of_one else None)
 
     del apply
-
-
-def sigmoid(x: AnyArray) -> AnyArray:
-    """``1 / (1 + exp(-x))``, accurate in both tails."""
-    small = np.exp(-np.abs(x))
-    return np.where(x >= 0, 1, small) / (1 + small)
 
 
 _function("Relu", lambda x: np.maximum(x, 0), 0)

@@ -28,7 +28,7 @@ FINITE = ("color", "gbuffer", "nov", "stencil")
 COMPARED = ("gbuffer", "nov", "stencil", "position")
 
 Planes = Mapping[str, cl.Buffer]
-Arrived = tuple[str | None, Tiles | None, Tiles | None]
+Findings = tuple[str | None, Tiles | None, Tiles | None]
 """Name of a plane that is not finite; the tiles that differ from the previous frame; those whose colour differs from the previous colour;
 None: all is finite, or nothing was compared."""
 
@@ -56,7 +56,7 @@ class Arrival:
         """Have the runtime load or compile the kernel, at a frame of no rows."""
         self._kernel.load(self._queue, *self._groups, {"height": 0}, {"height": self._size[0]})
 
-    def look(self, planes: Planes, color: cl.Buffer | None, before: Planes | None, color_before: cl.Buffer | None) -> Arrived:
+    def look(self, planes: Planes, color: cl.Buffer | None, before: Planes | None, color_before: cl.Buffer | None) -> Findings:
         """Look at a frame.
 
         Args:

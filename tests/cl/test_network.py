@@ -9,7 +9,7 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from conformance.cases.planes import SEEDS, sizes
-from conformance.tolerance import ratio, sum_bound, worst
+from conformance.tolerance import ratio, worst
 from stss_cl.device.buffers import constant, pad, read, write
 from stss_cl.device.program import FLUSH, source
 from stss_cl.device.tuning import BUILT_IN, Winograd, built_in_rows, trial
@@ -27,6 +27,7 @@ from stss_ref.weights import LAYERS, SOURCES, astype
 from stss_ref.weights import random as random_weights
 from tests.cl.conftest import ALL_LAYERS, OFTEN
 from tests.cl.films import network_inputs
+from tests.sum_bound import sum_bound
 from tests.tiers import thorough
 
 _rows = built_in_rows(BUILT_IN)

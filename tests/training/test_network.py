@@ -5,12 +5,13 @@ import pytest
 
 from conformance.answers.network import expect_with_weights
 from conformance.answers.port_arithmetic import Arithmetic
-from conformance.tolerance import ratio, sum_bound
+from conformance.tolerance import ratio
 from stss.quality.metrics import C2, PEAK, WINDOW, luma, ssim_map
 from stss_cl.liveness import find_live
 from stss_ref.loss import loss as reference_loss
 from stss_ref.weights import SECOND_COLORS, Weights, zeros
 from stss_ref.weights import random as random_weights
+from tests.sum_bound import sum_bound
 
 torch = pytest.importorskip("torch", reason="PyTorch is not installed: make test-training")
 torch.set_num_threads(1)

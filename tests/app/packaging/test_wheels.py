@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from stss.images.read_write import read_rgb
-from stss_ground.version import DISTRIBUTION, VERSION
+from stss_ground.version import VERSION
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -92,7 +92,7 @@ def test_the_program_has_all_that_it_reads_and_overwrites_nothing_of_others(prog
         str(path.relative_to(ROOT)) for package in ("stss", "stss_cl", "stss_ref") for path in (ROOT / package).rglob("*.py")
     }
     assert not {*DATA, *sources} - names
-    information = f"{DISTRIBUTION.replace('-', '_')}-{VERSION}.dist-info"
+    information = f"spacetime_supersampling-{VERSION}.dist-info"
     tops = {"stss", "stss_cl", "stss_ref", "stss_ground", "stss_lab", "stss_judge", "stss_judge.pth", information}
     assert {name.split("/")[0] for name in names} == tops
 
