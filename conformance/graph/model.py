@@ -87,7 +87,7 @@ def load_model(path: Path) -> Model:
             unknown.append(f"{label}: operator {each.domain + '.' if each.domain else ''}{each.op_type}")
         elif missing is None:
             attributes = {a.name: _attribute(onnx, a) for a in each.attribute}
-            nodes.append(Node(each.op_type, attributes, tuple(each.input), tuple(each.output), opset))
+            nodes.append(Node(each.op_type, attributes, tuple(each.input), tuple(each.output)))
             names |= {*each.output}
     if not nodes:
         raise InputError(f"{path}: no node can be judged{': ' + unknown[0] if unknown else ''}")

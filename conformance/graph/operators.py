@@ -23,13 +23,12 @@ from stss_ref.conv import sigmoid
 
 @dataclass(frozen=True)
 class Node:
-    """A node: the operator's name, its attributes, and the names of its tensors; opset: of the model."""
+    """A node: the operator's name, its attributes, and the names of its tensors."""
 
     op: str
     attributes: Mapping[str, Any]
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
-    opset: int = 17
 
     def get(self, name: str, default: Any = None) -> Any:
         """An attribute."""

@@ -36,7 +36,6 @@ class Row:
     platform: str
     memory: int
     fp16: bool
-    fp64: bool
     bfloat16: str
     target: str
     remark: str
@@ -121,7 +120,6 @@ def _row(name: str, handle: cl.Device, outcome: Verdict) -> Row:
         platform=device.platform_version,
         memory=device.memory,
         fp16=device.has_fp16,
-        fp64=device.has_fp64,
         bfloat16="emulated" if amx.missing(device) else "AMX",
         target=device.target,
         remark=(

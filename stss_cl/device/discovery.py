@@ -128,11 +128,6 @@ class Properties:
         return "cl_khr_fp16" in self.handle.extensions.split()
 
     @property
-    def has_fp64(self) -> bool:
-        """Whether kernels may use ``double``."""
-        return "cl_khr_fp64" in self.handle.extensions.split()
-
-    @property
     def takes_prefetch(self) -> bool:
         """Whether its compiler accepts ``__builtin_prefetch``: not NVIDIA's; those of rusticl 22.3 and Oclgrind 21.10 crash."""
         return self.kind == "CPU" and not self.name.startswith(("rusticl:", "Oclgrind:"))

@@ -45,7 +45,7 @@ def fxaa(image: Image) -> Image:
     contrast = cross.max(axis=0) - cross.min(axis=0)
     y, x = np.nonzero(contrast >= np.maximum(DARKEST, CONTRAST * cross.max(axis=0)))
 
-    level = _is_level(around, luma)[y, x]
+    level = _is_level(around)[y, x]
     across = _steeper_side(around, luma, y, x, level)
     edge = _share_by_slope(luma, y, x, across)
     dot = _share_by_contrast(around, luma, contrast)[y, x]
@@ -64,7 +64,7 @@ def _neighbours(luma: Plane) -> dict[tuple[int, int], Plane]:
     return {(j, i): wide[1 + j : 1 + j + height, 1 + i : 1 + i + width] for j in (-1, 0, 1) for i in (-1, 0, 1)}
 
 
-def _is_level(around: dict[tuple[int, int], Plane], luma: Plane) -> Mask:
+def _is_level(around: dict[tuple[int, int], Plane]) -> Mask:
     """True where the edge runs along a row: second differences down the columns are the larger ones."""
 
     def bend(before: tuple[int, int], at: tuple[int, int], after: tuple[int, int]) -> Plane:

@@ -50,24 +50,20 @@ class Reference:
 
 
 class OpenCL:
-    """A class of ``stss_cl``, made as ``Class(weights, device, precision=...)``; a call takes arrays by name, returns the image first.
-
-    If the class has a method ``timings``, the seconds of each stage that it returns are reported, too.
+    """``Network`` or ``Frame`` of ``stss_cl``; ``timings`` returns the seconds of each stage.
 
     Args:
         setup: weights and device.
-        module: module of ``stss_cl`` with the class.
         name: name of the class.
         precision: of ``stss_cl.options.PRECISIONS``.
         on_device: inputs and image stay on the device, as the peers' inputs and images do; else both are NumPy arrays.
     """
 
-    def __init__(self, setup: Setup, *, module: str, name: str, precision: str, on_device: bool):
+    def __init__(self, setup: Setup, *, name: str, precision: str, on_device: bool):
         device = importlib.import_module("stss_cl.device.discovery").open_device(setup.device)
         make: Any = getattr(importlib.import_module("stss_cl"), name)
         self._network = make(setup.weights, device, precision=precision)
-        if hasattr(self._network, "timings"):
-            self.timings: Callable[[], dict[str, float]] = self._network.timings  # pyrefly: ignore[possibly-uninitialized-attribute]
+        self.timings: Callable[[], dict[str, float]] = self._network.timings
         self._queue = device.queue
         self._on_device = on_device
         scope = "on the device" if on_device else "with transfers"
@@ -174,7 +170,7 @@ class PushContender:
         """There is no truth to compare the image with."""
 
 
-_NETWORK = partial(OpenCL, module="network", name="Network", on_device=True)
+_NETWORK = partial(OpenCL, name="Network", on_device=True)
 
 PUSH = "cl-push"
 """The contender whose images have no truth."""
@@ -184,7 +180,7 @@ OURS: dict[str, Callable[[Setup], Contender]] = {
     "cl-half": partial(_NETWORK, precision="half"),
     "cl-bfloat16": partial(_NETWORK, precision="bfloat16"),
     "cl-host": partial(_NETWORK, precision="float32", on_device=False),
-    "cl-frame": partial(OpenCL, module="frame", name="Frame", precision="float32", on_device=True),
+    "cl-frame": partial(OpenCL, name="Frame", precision="float32", on_device=True),
     "cl-stream": partial(StreamContender, ahead=False),
     "cl-stream-ahead": partial(StreamContender, ahead=True),
     PUSH: PushContender,
