@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from fractions import Fraction
-from functools import cache, partial
+from functools import cache, partial, wraps
 from inspect import signature
 from typing import Any
 
@@ -140,7 +140,7 @@ def to_half(x: Array) -> Array:
 
 def in_half(function: Callable[..., Array]) -> Callable[..., Array]:
     """``function`` with its result stored in half precision."""
-    return lambda *arguments, **options: to_half(function(*arguments, **options))
+    return wraps(function)(lambda *arguments, **options: to_half(function(*arguments, **options)))
 
 
 def half_chain(x: Array, weights: Any, name: str, layers: tuple[int, ...], *, last_relu: bool = True) -> Array:
@@ -178,7 +178,7 @@ def flush_to_0(x: Array, dtype: str = "float32") -> Array:
 
 def turned(function: Callable[[Array], Array]) -> Callable[[Array], Array]:
     """Columns before rows."""
-    return lambda x: np.ascontiguousarray(function(x.swapaxes(0, 1)).swapaxes(0, 1))
+    return wraps(function)(lambda x: np.ascontiguousarray(function(x.swapaxes(0, 1)).swapaxes(0, 1)))
 
 
 def down_first(four: Sequence[Array], at: sample.Taps) -> Array:

@@ -10,8 +10,9 @@ import pytest
 from conformance.answers.windows import place_of, places
 from conformance.cases import large_inputs
 from conformance.cases.stage_inputs import make_weights
-from conformance.judging.judge import Judge, Tier
+from conformance.judging.judge import TIERS, Judge, Tier
 from conformance.protocol.stages import STAGES
+from conformance.suite.run_suite import run_suite
 from conformance.tolerance import ratio
 from tests.meta.right_ports import port, port_in_windows
 from tests.meta.run_false_alarms import judged, main, stands_for
@@ -75,12 +76,18 @@ def test_a_stopped_run_goes_on(monkeypatch, tmp_path, capsys):
     assert "cases" not in capsys.readouterr().out  # nothing was judged again
 
 
-@pytest.mark.parametrize("stage", ["history", "encoder", "erm", "decoder", "network", "frame"])
-def test_a_port_in_windows_is_the_port(stage, monkeypatch):
-    """There it has the whole's numbers, by sums in its own order; elsewhere it computed nothing."""
+@pytest.fixture
+def small_frames(monkeypatch):
+    """A user's frame has 88 x 264 pixels."""
     monkeypatch.setattr("conformance.answers.windows.SIDE", 16)
     monkeypatch.setattr("conformance.answers.windows.TILE", 64)
     monkeypatch.setattr("conformance.cases.large_inputs.USER_SIZES", dict.fromkeys(("quick", "full"), (88, 264)))
+
+
+@pytest.mark.usefixtures("small_frames")
+@pytest.mark.parametrize("stage", ["history", "encoder", "erm", "decoder", "network", "frame"])
+def test_a_port_in_windows_is_the_port(stage):
+    """There it has the whole's numbers, by sums in its own order; elsewhere it computed nothing."""
     (make,) = large_inputs.user_inputs(stage, 99)
     inputs, weights = make(np.random.default_rng(0))
     case = Judge(port("as_is")).make_case(stage, inputs, weights)
@@ -94,3 +101,11 @@ def test_a_port_in_windows_is_the_port(stage, monkeypatch):
         apart, changed = (sum(np.sum(x[name][place] != whole[name][place]) for place in judged) for x in (part, other))
         assert apart < changed / 10
         assert np.count_nonzero(part[name]) <= sum(part[name][place].size for place in judged)
+
+
+@pytest.mark.usefixtures("small_frames")
+@pytest.mark.parametrize("name", ["orders", "half"])
+def test_a_port_in_windows_enlarges_as_the_whole_does(name):
+    """Also one with an ``upsample_corners`` of its own, which does not know of windows."""
+    (result,) = run_suite(Judge(port_in_windows(name), TIERS["full"]), ["decoder"], only="users_size")
+    assert (result.outcome, result.record.largest) == ("passed", (88, 264))
