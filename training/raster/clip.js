@@ -124,5 +124,5 @@ async function renderClip(renderer, clip) {
   }
   await post(`${clip.name}.eyes.json`, JSON.stringify(eyes));
   passes.dispose();
-  console.log(`${clip.name}: ${renderer.info.render.triangles} triangles, ${Math.round((performance.now() - started) / 1000)} s`);
+  console.log(`${clip.name}: ${Math.round((performance.now() - started) / 1000)} s`);
 }

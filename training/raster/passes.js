@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT
 // One pass draws colour, G-buffer and motion into five targets: the same triangles with the same discards, so all agree at every pixel.
 import * as THREE from 'three';
+import {FullScreenQuad} from 'three/addons/postprocessing/Pass.js';
 
 export const uniforms = {
   previousView: {value: new THREE.Matrix4()}, // projection * view of the display frame before
@@ -77,6 +78,18 @@ export function sky(texture, gain) {
   return mesh;
 }
 
+// Each pixel is the mean of side x side texels: read back whole, the samples of one frame would be half a gigabyte.
+const mean = new FullScreenQuad(new THREE.ShaderMaterial({
+  uniforms: {samples: {value: null}, side: {value: 1}},
+  vertexShader: 'void main() { gl_Position = vec4(position.xy, 0.0, 1.0); }',
+  fragmentShader: `uniform sampler2D samples; uniform int side;
+    void main() {
+      vec4 sum = vec4(0.0);
+      for (int y = 0; y < side; ++y)
+        for (int x = 0; x < side; ++x) sum += texelFetch(samples, ivec2(gl_FragCoord.xy) * side + ivec2(x, y), 0);
+      gl_FragColor = sum / float(side * side);
+    }`}));
+
 export class Passes {
   // width, height: of the low resolution; side * side samples a pixel of the truth
   constructor(renderer, width, height, side) {
@@ -85,6 +98,7 @@ export class Passes {
     this.side = side;
     this.low = new THREE.WebGLRenderTarget(width, height, {...options, count: 5});
     this.high = new THREE.WebGLRenderTarget(2 * side * width, 2 * side * height, options);
+    this.mean = new THREE.WebGLRenderTarget(2 * width, 2 * height, options);
     uniforms.pixels.value.set(width, height);
   }
 
@@ -98,6 +112,7 @@ export class Passes {
   dispose() {
     this.low.dispose();
     this.high.dispose();
+    this.mean.dispose();
   }
 
   // The five planes, each (height, width, 4) from the bottom up.
@@ -113,14 +128,13 @@ export class Passes {
 
   // The mean over side x side samples at twice the size. Textures are as blurred as without the samples: hence the bias.
   truth(scene, camera) {
-    const {width, height} = this.high, side = this.side, many = new Float32Array(4 * width * height);
-    this.draw(scene, camera, this.high, Math.log2(side));
-    this.renderer.readRenderTargetPixels(this.high, 0, 0, width, height, many);
-    const across = width / side, mean = new Float32Array(4 * across * height / side);
-    for (let y = 0; y < height; y++)
-      for (let x = 0; x < width; x++)
-        for (let c = 0, to = 4 * (Math.floor(y / side) * across + Math.floor(x / side)); c < 4; c++)
-          mean[to + c] += many[4 * (y * width + x) + c] / side ** 2;
-    return mean;
+    const {width, height} = this.mean, pixels = new Float32Array(4 * width * height);
+    this.draw(scene, camera, this.high, Math.log2(this.side));
+    mean.material.uniforms.samples.value = this.high.texture;
+    mean.material.uniforms.side.value = this.side;
+    this.renderer.setRenderTarget(this.mean);
+    mean.render(this.renderer);
+    this.renderer.readRenderTargetPixels(this.mean, 0, 0, width, height, pixels);
+    return pixels;
   }
 }
