@@ -49,6 +49,11 @@ BOUNDS = {
         "weights 36, twice: colours 3, normals 5 or distance 0, sum 2, power 4 times and 3, quotient 5; brightness 7, four times: sum, "
         "root 6; products 5, quotient 5",
     ),
+    "share": Bound(
+        130,
+        0,
+        "weights 36, twice; sums of 25 lights, twice; products 2, quotient 5, and the light's own 1; scale: the largest light",
+    ),
     "layer": Bound(2, 0, "gamma_n: n = products in one sum, and these for bias and activation; scale: weights (backward error)"),
     "layer.float16": Bound(3, 0, "activation, weight and result stored once each in float16; sums as in float32"),
     "layer.bfloat16": Bound(3, 0, "as layer.float16, in bfloat16"),

@@ -35,7 +35,7 @@
 //  -D RESHADE       stage reshade fills the holes
 //
 // Order: chain_steps, prepare_newest, prepare_older for each older frame where the history is read, splat_nearest and
-// splat_first (with -D RESHADE find_samples), fill_holes; then downsample_8.cl. A new plane: README.md, Change a
+// splat_first (with -D RESHADE find_samples, find_lights), fill_holes; then downsample_8.cl. A new plane: README.md, Change a
 // kernel.
 // Launch (W, H); prepare_* and fill_holes (C, R); with EIGHT_PIXELS an eighth of the columns.
 #ifdef EIGHT_PIXELS
@@ -162,22 +162,60 @@ kernel void find_samples(PLANES(ARGUMENT) global const uchar *restrict mask, glo
         if (!mask[y * width + x]) samples[y * width + x] = own_samples(s, color, motions[y * width + x], x, y);
 }
 
+// A processor's core computes neighbouring lines, and holes lie together: of `rows`, a multiple of 8, every eighth, so
+// that all cores have some.
+INLINE int row_of(const int line, const int rows)
+{
+#ifdef EIGHT_PIXELS
+    return line % (rows / 8) * 8 + line / (rows / 8);
+#else
+    return line;
+#endif
+}
+
+#ifdef RESHADE
+// Finds the light of the holes of a strip and of those around it that share theirs, after find_samples: -D RESHADE.
+kernel void find_lights(global const float *restrict color, global const float2 *restrict motions,
+                        global const float *restrict gbuffer, global const float *restrict stencil,
+                        global const float *restrict normal, global float4 *restrict color3,
+                        global uchar *restrict mask, global const float4 *restrict samples,
+                        global float4 *restrict lights, const Task task)
+{
+    const int left = get_global_id(0) * AT_ONCE, line = get_global_id(1), rows = task.rows + STRIP_MARGIN;
+    if (left >= task.width || line >= rows) return;
+    const int y = task.top - STRIP_MARGIN / 2 + row_of(line, rows);
+    if (y < 0 || y >= task.height) return;
+#ifdef EIGHT_PIXELS
+    if (left + 8 <= task.width && all_valid8(mask + y * task.width + left)) return;
+#endif
+    const Frame f = {.task = task,
+                     .color = color,
+                     .motions = motions,
+                     .gbuffer = gbuffer,
+                     .stencil = stencil,
+                     .normal = normal,
+                     .color3 = color3,
+                     .mask = mask,
+                     .samples = samples};
+    for (int x = left; x < least(left + AT_ONCE, task.width); ++x) {
+        const int pixel = y * task.width + x;
+        if (!mask[pixel]) lights[pixel] = find_light(f, pixel, x, y);
+    }
+}
+#endif
+
 kernel void fill_holes(PLANES(ARGUMENT) OLDER(ARGUMENT) NEWEST(ARGUMENT) global uchar *restrict changes,
-                       global const float4 *restrict samples, const Task task)
+                       global const float4 *restrict lights, const Task task)
 {
     const int left = get_global_id(0) * AT_ONCE, line = get_global_id(1);
     if (left >= task.columns || line >= task.rows) return;
+    const int y = row_of(line, task.rows);
 #ifdef EIGHT_PIXELS
-    // A processor's core computes neighbouring lines, and holes lie together: every eighth row, so that all have some.
-    // The rows are a multiple of 8.
-    const int y = line % (task.rows / 8) * 8 + line / (task.rows / 8);
     if (left + 8 <= task.width && task.top + y < task.height && all_valid8(mask + (task.top + y) * task.width + left))
         return;
-#else
-    const int y = line;
 #endif
     const Frame f = {.task = task,
-                     .samples = samples,
+                     .lights = lights,
                      .marks = MARKS(changes),
                      .changes = changes,
                      PLANES(VALUE) OLDER(VALUE) NEWEST(VALUE)};

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT
-// Stage reshade, reference stss_ref/reshade.py::reshade: two kernels, in this order.
+// Stage reshade, reference stss_ref/reshade.py::reshade: three kernels, in this order.
 //
 //  buffer             dir     shape      unit
 //  color              in      (H, W, 3)  the earlier frame, finite
@@ -14,6 +14,7 @@
 //  position           in      (H, W, 3)  cm; may be non-finite
 //  base_color         in      (H, W, 3)
 //  samples            in/out  (H, W, 4)  for holes: the mean of their own samples and its number; others are not read
+//  lights             in/out  (H, W, 4)  for holes: the light around, and 1 if there is one, else 0; others are not read
 //  filled             out     (H, W, 3)  as color, at least 0
 //
 // Build: no options.  Launch (W, H) rounded up.
@@ -34,10 +35,33 @@ kernel void find_samples(global const float *restrict color, global const float2
     samples[pixel] = own_samples(s, color, motion[pixel], x, y);
 }
 
+kernel void find_lights(global const float *restrict warped, global const uchar *restrict valid,
+                        global const float *restrict stencil, global const float *restrict normal,
+                        global const float *restrict base_color, global const float4 *restrict samples,
+                        global float4 *restrict lights, const int height, const int width)
+{
+    const int x = get_global_id(0), y = get_global_id(1), pixel = y * width + x;
+    if (x >= width || y >= height || valid[pixel]) return;
+    const Surfaces s = {height, width, 3, 3, 0, stencil, 0, normal, 0, 0, base_color};
+    Light light = no_light(s, pixel);
+    for (int step = 1; step <= LARGEST_STEP && !is_own(samples[pixel], stencil[pixel]); step *= 2)
+        for (int j = -REACH; j <= REACH; ++j)
+            for (int i = -REACH; i <= REACH; i += place_stride(j)) {
+                const int u = x + step * i, v = y + step * j;
+                if (u < 0 || u >= width || v < 0 || v >= height) continue;
+                const int other = v * width + u;
+                if (stencil[other] != stencil[pixel] || !(valid[other] || samples[other].w > 0.0f)) continue;
+                add_source(&light, s, other, (u - x) * (u - x) + (v - y) * (v - y),
+                           valid[other] ? not_negative(read3(warped, other)) : samples[other].xyz);
+            }
+    lights[pixel] = light_of(light);
+}
+
 kernel void reshade(global const float *restrict warped, global const uchar *restrict valid,
                     global const float *restrict stencil, global const float *restrict normal,
                     global const float *restrict base_color, global const float4 *restrict samples,
-                    global float *restrict filled, const int height, const int width)
+                    global const float4 *restrict lights, global float *restrict filled, const int height,
+                    const int width)
 {
     const int x = get_global_id(0), y = get_global_id(1), pixel = y * width + x;
     if (x >= width || y >= height) return;
@@ -45,20 +69,7 @@ kernel void reshade(global const float *restrict warped, global const uchar *res
     if (!valid[pixel]) {
         const Surfaces s = {height, width, 3, 3, 0, stencil, 0, normal, 0, 0, base_color};
         if (samples[pixel].w > 0.0f) c = samples[pixel].xyz;
-        if (!is_own(samples[pixel], stencil[pixel])) {
-            Light light = no_light(s, pixel);
-            for (int step = 1; step <= LARGEST_STEP; step *= 2)
-                for (int j = -REACH; j <= REACH; ++j)
-                    for (int i = -REACH; i <= REACH; i += place_stride(j)) {
-                        const int u = x + step * i, v = y + step * j;
-                        if (u < 0 || u >= width || v < 0 || v >= height) continue;
-                        const int other = v * width + u;
-                        if (stencil[other] != stencil[pixel] || !(valid[other] || samples[other].w > 0.0f)) continue;
-                        add_source(&light, s, other, (u - x) * (u - x) + (v - y) * (v - y),
-                                   valid[other] ? not_negative(read3(warped, other)) : samples[other].xyz);
-                    }
-            if (has_source(light)) c = lit(light);
-        }
+        if (lights[pixel].w > 0.0f) c = lit(s, valid, lights, x, y);
     }
     vstore3(c, pixel, filled);
 }

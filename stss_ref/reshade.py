@@ -19,6 +19,8 @@ REACH = 2
 """Places from a hole to the sides of the square rings at which it looks for like materials."""
 STEPS = 1, 2, 4, 8, 16, 32
 """Pixels from place to place of each ring: a hole may be as wide as the motion is long, and colours beside it are mixed."""
+SHARE = 2
+"""Pixels from a hole to the sides of the square of holes whose lights it takes the mean of: each looks at other places."""
 NORMAL = 2.0
 """Factor of the squared difference of normals in a weight; that of the difference of base colours is 1."""
 DISTANCE = 0.25
@@ -45,13 +47,15 @@ def reshade(
     """Fill the warping holes of the earlier frame.
 
     A static hole ``p`` takes the mean of its own samples: those of the four earlier pixels around ``p + motion(p)`` that show its
-    surface (`shows_surface`). A hole that has none, and any of a moving object, takes ``a(p) l`` with the light ``l`` for which ``sum
-    w(q) (a(q) l - c(q))^2`` is least, ``sum w(q) a(q) c(q) / sum w(q) a(q)^2``, over the pixels ``q = p + s (i, j)`` of its object,
-    of each ``s`` of ``STEPS`` and all whole ``i`` and ``j`` with ``max(|i|, |j|) = REACH``, that are no holes, where ``c`` is the
-    warped colour, or holes with samples of their own, where ``c`` is their mean. ``a`` is the `brightness` of the base colour
-    ``b``, and 1 for all ``q`` of a hole that `is_mixed`; ``w(q) = (1 + |b(q) - b(p)|_1 + 2 |n(q) - n(p)|^2)^-4`` with the
-    normal ``n``. A background, whose normal is 0, takes from background alone, the nearer the more: ``w(q) = (1 + |b(q) - b(p)|_1 +
-    |q - p|^2 / 4)^-4``. Without any a hole takes the mean of its own samples, or stays as it is warped. Colours below 0 count as 0.
+    surface (`shows_surface`). A hole that has none, and any of a moving object, finds the light ``l(p)`` for which ``sum w(q) (a(q) l -
+    c(q))^2`` is least, ``sum w(q) a(q) c(q) / sum w(q) a(q)^2``, over the pixels ``q = p + s (i, j)`` of its object, of each ``s`` of
+    ``STEPS`` and all whole ``i`` and ``j`` with ``max(|i|, |j|) = REACH``, that are no holes, where ``c`` is the warped colour, or
+    holes with samples of their own, where ``c`` is their mean. ``a`` is the `brightness` of the base colour ``b``, and
+    1 for all ``q`` of a hole that `is_mixed`; ``w(q) = (1 + |b(q) - b(p)|_1 + 2 |n(q) - n(p)|^2)^-4`` with the normal ``n``. A
+    background, whose normal is 0, takes from background alone, the nearer the more: ``w(q) = (1 + |b(q) - b(p)|_1 + |q - p|^2 /
+    4)^-4``. Then it takes ``a(p)`` times the mean of the lights of the holes within ``SHARE`` rows and columns that found one, itself
+    among them, with the former weights (`light_sums`). A hole that finds none takes the mean of its own samples, or stays as it is
+    warped. Colours below 0 count as 0.
 
     Source: paper, Reshading (the light of valid neighbours, by how alike the materials are), here at full size; decision 38.
 
@@ -97,7 +101,10 @@ def reshade(
     sums, totals = like_sums(filled, is_source, stencil, normal, base_color, y, x)
     has_source = (totals > 0).all(axis=-1)
     y, x = y[has_source], x[has_source]
-    filled[y, x] = brightness(base_color[y, x], is_mixed(normal[y, x])) * sums[has_source] / totals[has_source]
+    light, has_light = np.zeros_like(filled), np.zeros_like(is_source)
+    light[y, x], has_light[y, x] = sums[has_source] / totals[has_source], True
+    sums, totals = light_sums(light, has_light, stencil, normal, base_color, y, x)
+    filled[y, x] = brightness(base_color[y, x], is_mixed(normal[y, x])) * sums / totals
     return filled
 
 
@@ -179,15 +186,52 @@ def like_sums(
     return sums, totals
 
 
+def light_sums(
+    light: Image, has_light: Mask, stencil: Plane, normal: Image, base_color: Image, y: Index, x: Index
+) -> tuple[Array, Array]:
+    """The sums ``w l``, (N, 3), and ``w``, (N, 1), of the lights around each pixel and its own, row by row.
+
+    Those of its object count, and not a mixed one's for another.
+
+    Args:
+        light: (H, W, 3).
+        has_light, stencil: (H, W).
+        normal, base_color: (H, W, 3).
+        y, x: (N,) the pixels.
+    """
+    sums, totals = np.zeros((len(y), 3), light.dtype), np.zeros((len(y), 1), light.dtype)
+    background, mixed, none = is_background(normal), is_mixed(normal), np.zeros(len(y), light.dtype)
+    for there, at in square_rows(stencil.shape, y, x):
+        counts = there & has_light[at]
+        for plane in (stencil, background, mixed):
+            counts &= plane[at] == plane[y, x]
+        weights = np.where(counts, likeness(base_color[at], base_color[y, x], normal[at], normal[y, x], none), 0)
+        for weight, one in zip(weights[..., None], light[at], strict=True):
+            sums += weight * one
+            totals += weight
+    return sums, totals
+
+
 def ring_rows(size: tuple[int, int], y: Index, x: Index) -> Iterator[tuple[Mask, tuple[Index, Index]]]:
-    """Row by row the rings around N pixels: whether each place lies in the frame, (P, N); row (N,) and column (P, N), clamped."""
-    height, width = size
+    """Row by row the rings around N pixels; as `_places`."""
     for step in STEPS:
         for j in range(-REACH, REACH + 1):
-            row = y + step * j
-            column = x + step * np.arange(-REACH, REACH + 1, 1 if abs(j) == REACH else 2 * REACH)[:, None]
-            there: Mask = (row >= 0) & (row < height) & (column >= 0) & (column < width)
-            yield there, (np.clip(row, 0, height - 1), np.clip(column, 0, width - 1))
+            yield _places(
+                size, y + step * j, x + step * np.arange(-REACH, REACH + 1, 1 if abs(j) == REACH else 2 * REACH)[:, None]
+            )
+
+
+def square_rows(size: tuple[int, int], y: Index, x: Index) -> Iterator[tuple[Mask, tuple[Index, Index]]]:
+    """Row by row the pixels within ``SHARE`` rows and columns of N pixels, themselves among them; as `_places`."""
+    for j in range(-SHARE, SHARE + 1):
+        yield _places(size, y + j, x + np.arange(-SHARE, SHARE + 1)[:, None])
+
+
+def _places(size: tuple[int, int], row: Index, column: Index) -> tuple[Mask, tuple[Index, Index]]:
+    """Whether each of P places in a row lies in the frame, (P, N); row (N,) and column (P, N), clamped."""
+    height, width = size
+    there: Mask = (row >= 0) & (row < height) & (column >= 0) & (column < width)
+    return there, (np.clip(row, 0, height - 1), np.clip(column, 0, width - 1))
 
 
 def likeness(base_color: Array, own_base_color: Array, normal: Array, own_normal: Array, away: Array) -> Array:

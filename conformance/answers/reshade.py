@@ -27,6 +27,7 @@ from stss_ref.reshade import (
     is_mixed,
     reshade,
     ring_rows,
+    square_rows,
 )
 from stss_ref.sample import Index
 
@@ -57,18 +58,21 @@ def expect_reshade(
     is_source |= has
     # A hole that has no sample, or is a moving object's, depends on those around it, too.
     alone = _pixels(~is_source | (has & (inputs["stencil"] != 0)))
-    terms, around, doubts = _around(inputs, is_source, of_source, undecided, alone, arithmetic)
+    terms, light, doubts = _around(inputs, is_source, of_source, undecided, alone, arithmetic)
+    undecided[alone] |= doubts
+    looks = terms > 0
+    alone = alone[0][looks], alone[1][looks]
+    terms, light, doubts = _shared(inputs, terms[looks], light[looks], undecided, alone)
     undecided[alone] |= doubts
     roundings = np.where(has, BOUNDS["own"].roundings, 0.0)
     scale = np.where(has, of_source, 0.0)
-    looks = terms > 0
-    alone = alone[0][looks], alone[1][looks]
-    roundings[alone] = BOUNDS["like"].roundings + BOUNDS["own"].roundings + 2 * terms[looks]
-    scale[alone] = around[looks]
+    roundings[alone] = sum(BOUNDS[name].roundings for name in ("like", "own", "share")) + 2 * terms
+    y, x = alone
+    scale[alone] = (brightness(inputs["base_color"][y, x], is_mixed(inputs["normal"][y, x])) * light).max(axis=-1)
     allowed = roundings * (arithmetic.unit * scale + arithmetic.tiny)
     # The light of any sources gives no more than the brightest surface in that of the darkest, but for the roundings of the longest sum.
     largest = max(color.max(), warped.max()) * np.sqrt(1 + 1 / FLOOR)
-    most = BOUNDS["like"].roundings + 2 * len(STEPS) * 8 * REACH
+    most = BOUNDS["like"].roundings + BOUNDS["share"].roundings + 2 * len(STEPS) * 8 * REACH
     allowed = np.where(undecided, largest * (1 + most * arithmetic.unit), allowed)[..., None] + arithmetic.flushed(warped)
     return {"reshade": Expected(want, allowed, free=undecided[..., None])}, undecided
 
@@ -118,7 +122,7 @@ def _shows(inputs: dict[str, NDArray[Any]], sample: Pixels, pixel: Pixels, arith
 def _around(
     inputs: dict[str, NDArray[Any]], is_source: Bool, peaks: Float64, undecided: Bool, pixels: Pixels, arithmetic: Arithmetic
 ) -> tuple[Float64, Float64, Bool]:
-    """Of each pixel, (N,): the number of sources around it, the largest of their colours in its own material, and whether it is undecided.
+    """Of each pixel, the number of sources around it, (N,), the largest of their lights, (N, 3), and whether it is undecided, (N,).
 
     It is if a source is, or if a port may take a normal for 0, or its own for a mixed one.
     """
@@ -127,14 +131,35 @@ def _around(
     hardly = ~background & (np.abs(normal).max(axis=-1) < arithmetic.tiny)
     y, x = pixels
     mixed, length = is_mixed(normal[y, x]), squared(normal[y, x])
-    own = brightness(base_color[y, x], mixed)
     doubts = np.abs(length - UNMIXED) <= BOUNDS["dot"].roundings * arithmetic.unit * length
-    count, peak = np.zeros(len(y)), np.zeros(len(y))
+    count, peak = np.zeros(len(y)), np.zeros((len(y), 3))
     for there, at in ring_rows(stencil.shape, y, x):
         counts = there & (stencil[at] == stencil[y, x])
         sources = counts & is_source[at] & (background[at] == background[y, x])
         count += sources.sum(axis=0)
-        brighter = (own / brightness(base_color[at], mixed)).max(axis=-1)
-        peak = np.maximum(peak, np.where(sources, peaks[at] * brighter, 0).max(axis=0))
+        peak = np.maximum(
+            peak, np.where(sources[..., None], peaks[at][..., None] / brightness(base_color[at], mixed), 0).max(axis=0)
+        )
         doubts |= (counts & (undecided[at] | hardly[at] | hardly[y, x])).any(axis=0)
     return count, peak, doubts
+
+
+def _shared(
+    inputs: dict[str, NDArray[Any]], terms: Float64, light: Float64, undecided: Bool, pixels: Pixels
+) -> tuple[Float64, Float64, Bool]:
+    """What `_around` gives of pixels that have a light, for those whose lights each of them shares.
+
+    A pixel is undecided if one is whose light it may share.
+    """
+    stencil, normal = inputs["stencil"], inputs["normal"]
+    background, mixed = is_background(normal), is_mixed(normal)
+    place = np.full(stencil.shape, -1)
+    place[pixels] = np.arange(len(terms))
+    most, peak, doubts = np.zeros(len(terms)), np.zeros((len(terms), 3)), np.zeros(len(terms), bool)
+    for there, at in square_rows(stencil.shape, *pixels):
+        counts = there & (stencil[at] == stencil[pixels])
+        doubts |= (counts & (inputs["valid"][at] == 0) & undecided[at]).any(axis=0)
+        counts &= (place[at] >= 0) & (background[at] == background[pixels]) & (mixed[at] == mixed[pixels])
+        most = np.maximum(most, np.where(counts, terms[place[at]], 0).max(axis=0))
+        peak = np.maximum(peak, np.where(counts[..., None], light[place[at]], 0).max(axis=0))
+    return most, peak, doubts

@@ -198,6 +198,14 @@ def _like(rng: Generator) -> Inputs:
     return inputs | {"warped": rng.random((1, width, 3)), "valid": valid, "base_color": base_color, "normal": normal}
 
 
+def _lights(rng: Generator) -> Inputs:
+    """Some holes in a row, which share the lights that they find."""
+    inputs = _hole(2 * MIDDLE + 1)
+    valid = inputs["valid"] + 1
+    valid[0, MIDDLE : MIDDLE + 9] = 0
+    return inputs | {"warped": rng.random(inputs["warped"].shape), "valid": valid}
+
+
 def _mixed(rng: Generator) -> Inputs:
     """Rows of one object each; each has a hole, whose normal is near the limit of a mixed one's, among other materials."""
     squares = np.array([UNMIXED * (1 + sign * close) for close in CLOSE for sign in (-1, 1)])
@@ -297,6 +305,7 @@ CONSTANTS = (
     Constant("own samples' cosine", "0.95", "reshade", _own_cosine(COSINE, 1)),
     Constant("own samples' cosine, static", "0.5", "reshade", _own_cosine(STATIC_COSINE, 0)),
     Constant("places to the sides of a ring", "2", "reshade", _like),
+    Constant("pixels to the sides of the square of lights", "2", "reshade", _lights),
     Constant("steps of the rings", "1, 2, 4, 8, 16, 32", "reshade", _like),
     Constant("weight of base colours", "1", "reshade", _like),
     Constant("weight of normals", "2", "reshade", _like),

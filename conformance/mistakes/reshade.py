@@ -90,6 +90,53 @@ def _in_place(copy: Copy) -> None:
     wrap("reshade.like_sums", like_sums)(copy)
 
 
+def _shares(name: str, what: str, **changes: Change) -> Mistake:
+    """Holes take the mean of other lights."""
+    return _reshade(name, what, change_arguments("reshade.light_sums", **changes))
+
+
+def _shares_by(name: str, what: str, function: str, other: Change) -> Mistake:
+    """``function`` is ``other``, for the mean of lights alone."""
+
+    def plant(copy: Copy) -> None:
+        own = copy.get(f"reshade.{function}")
+
+        def light_sums(right: Change, *arguments: Any) -> Any:
+            copy.put(f"reshade.{function}", other)
+            got = right(*arguments)
+            copy.put(f"reshade.{function}", own)
+            return got
+
+        wrap("reshade.light_sums", light_sums)(copy)
+
+    return _reshade(name, what, plant)
+
+
+def _mean_of_colors(copy: Copy) -> None:
+    """Holes take the mean of their neighbours' colours."""
+    brightness, is_mixed = copy.get("reshade.brightness"), copy.get("reshade.is_mixed")
+
+    def light_sums(right: Change, light: Any, has: Any, stencil: Any, normal: Any, base_color: Any, y: Any, x: Any) -> Any:
+        flat = base_color.reshape(-1, 3), is_mixed(normal).reshape(-1)
+        sums, totals = right(light * brightness(*flat).reshape(light.shape), has, stencil, normal, base_color, y, x)
+        return sums / brightness(base_color[y, x], is_mixed(normal[y, x])), totals
+
+    wrap("reshade.light_sums", light_sums)(copy)
+
+
+def _lights_in_place(copy: Copy) -> None:
+    """The mean of a hole's lights is the light of those after it."""
+
+    def light_sums(right: Change, light: Any, has: Any, stencil: Any, normal: Any, base_color: Any, y: Any, x: Any) -> Any:
+        light = light.copy()
+        for at in ((y[i : i + 1], x[i : i + 1]) for i in range(len(y))):
+            sums, totals = right(light, has, stencil, normal, base_color, *at)
+            light[at] = sums / totals
+        return light[y, x], np.ones((len(y), 1), light.dtype)
+
+    wrap("reshade.light_sums", light_sums)(copy)
+
+
 def _within_tile(right: Change, color: Any, is_source: Any, stencil: Any, normal: Any, base_color: Any, y: Any, x: Any) -> Any:
     """Windows end at the tiles of 8 x 8 that their pixels lie in."""
     sums, totals = np.zeros((2, len(y), 3), color.dtype)
@@ -285,6 +332,27 @@ RESHADE = (
     _reshade("clamped_late", "the sum of samples, not each of them, is at least 0", _clamped_late),
     _reshade("leaning_samples", "static samples of any normal", put("reshade.STATIC_COSINE", -2.0)),
     _reshade("cosine_for_all", "the cosine of moving objects for static ones, too", put("reshade.STATIC_COSINE", COSINE)),
+    _reshade("own_light", "holes take the light that they find themselves", put("reshade.SHARE", 0)),
+    _reshade("share_1", "the mean of the lights of 3 x 3 holes", put("reshade.SHARE", 1)),
+    _reshade("share_3", "the mean of the lights of 7 x 7 holes", put("reshade.SHARE", 3)),
+    _reshade("share_clamped", "the lights of the nearest hole for one outside", returns("reshade.square_rows", _all_there)),
+    _shares("share_all_objects", "the lights of all objects", stencil=np.zeros_like),
+    _shares_by(
+        "share_unlike",
+        "all lights weigh the same",
+        "likeness",
+        lambda base_color, own_base_color, normal, own_normal, away: np.ones(base_color.shape[:-1], base_color.dtype),
+    ),
+    _shares_by("share_mixed", "lights of mixed holes for others", "is_mixed", lambda normal: np.zeros(normal.shape[:-1], bool)),
+    _shares_by(
+        "share_background",
+        "lights of a background for surfaces",
+        "is_background",
+        lambda normal: np.zeros(normal.shape[:-1], bool),
+    ),
+    _reshade("share_colors", "the mean of colours, not of lights", _mean_of_colors),
+    _reshade("share_in_place", "the mean of a hole's lights is the light of others", _lights_in_place),
+    _reshade("share_tile", "the lights of tiles of 8 x 8", wrap("reshade.light_sums", _within_tile)),
     _reshade("tile_halo", "windows end at tiles of 8 x 8", wrap("reshade.like_sums", _within_tile)),
     _reshade(
         "negative_color",

@@ -133,14 +133,14 @@ class Maker(Calls):
         base_color: Picture,
     ) -> Picture:
         """``reshade``; two pictures of `surface`, the earlier one first."""
-        samples, filled = (
-            self.empty(valid.height, valid.width, 4),
-            self.copy(warped, self.empty(valid.height, valid.width, 3), positive=True),
-        )
+        samples, lights = (self.empty(valid.height, valid.width, 4) for _ in range(2))
+        filled = self.copy(warped, self.empty(valid.height, valid.width, 3), positive=True)
         earlier, now = surfaces
         size = valid.width, valid.height
         self.add("reshade.find_samples", valid, 1, size, {1: motion, 2: earlier, 3: now, 4: color, 5: valid, 7: samples})
-        self.add("reshade.like_materials", valid, 1, size, {3: now, 5: valid, 6: base_color, 7: samples, 8: filled})
+        around = {3: now, 5: valid, 6: base_color, 7: samples, 8: filled, 9: lights}
+        self.add("reshade.find_lights", valid, 1, size, around)
+        self.add("reshade.fill", valid, 1, size, around)
         return filled
 
     def detail(self, first: Picture, frames: list[tuple[Picture, Picture, Picture]]) -> Picture:

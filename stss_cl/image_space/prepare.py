@@ -26,6 +26,8 @@ from stss_ref.weights import SecondColor
 FINITE = ("colors", "gbuffer", "nov", "stencils", "normals")
 """The arrays that must be finite: a ReLU could turn a NaN into 0 unnoticed."""
 
+STRIP_MARGIN = 8
+"""Rows of lights besides a strip's, as in kernels/reshade.clh."""
 MOTIONS = tuple(f"motion{i}" for i in range(MOST_STEPS))
 NOTHING = {"height": 0, "rows": 0, "down": 0}
 """With these arguments a kernel has no pixel, and does no work."""
@@ -35,12 +37,14 @@ NOTHING = {"height": 0, "rows": 0, "down": 0}
 class _Launches:
     """The launches of one frame.
 
-    ``colors``: of the colour frames, newest first; ``search``: for the colours of holes; ``fill``: of the newest frame's holes.
+    ``colors``: of the colour frames, newest first; ``search``: for the colours of holes; ``light``: of a strip's holes, if they are
+    reshaded; ``fill``: of the newest frame's holes.
     """
 
     chain: Launch
     colors: tuple[Launch, ...]
     search: tuple[Launch, ...]
+    light: Launch | None
     fill: Launch
     eighth: Launch
 
@@ -104,7 +108,7 @@ class Prepare:
         self._motions = make_zeros(device, 3 * height * width * 8)
         self._bad = self._filled(4 * len(FINITE))
         self.splat = self._filled(8 * (1 if self._reshades else height * width))
-        self._samples = self._filled((height * width if self._reshades else 1) * 16)
+        self._samples, self._lights = (self._filled((height * width if self._reshades else 1) * 16) for _ in range(2))
         self._launches = self._whole if self.inputs.changes is None else self._marking
         self._sources: Sources | None = None
         self._last: cl.Event | None = None
@@ -146,6 +150,7 @@ class Prepare:
         }  # fmt: skip
         outputs = {"history": inputs.earlier.data, "bad": self._bad, "dirty": dirty}
         newest = {"x0": inputs.input.data, "color3": inputs.base, "mask": self.mask, "splat": self.splat}
+        found = {"color3": inputs.base, "mask": self.mask, "samples": self._samples, "lights": self._lights}
         marked = {"changes": maps}
         small = {
             "mask": self.mask, "eighth": inputs.eighth.data, "down": inputs.eighth.height, "across": inputs.eighth.width,
@@ -169,14 +174,16 @@ class Prepare:
                 *(launch("prepare_older", *part, outputs, marked, task, {"image": image}) for image in (1, 0) if self._stores),
             ),
             search=search,
-            fill=launch("fill_holes", *part, newest, marked, {"samples": self._samples}, task),
+            light=launch("find_lights", whole[0], self.rows + STRIP_MARGIN, found, task) if self._reshades else None,
+            fill=launch("fill_holes", *part, newest, marked, {"lights": self._lights}, task),
             eighth=launch("downsample_8", inputs.eighth.width, inputs.eighth.height, small, size, of=eighth),
         )
 
     def load(self) -> None:
         """Let the runtime load or compile all kernels."""
         for launches in (self._whole,) if self.inputs.changes is None else (self._whole, self._marking):
-            for launch in (launches.chain, *launches.colors, *launches.search, launches.fill, launches.eighth):
+            light = () if launches.light is None else (launches.light,)
+            for launch in (launches.chain, *launches.colors, *launches.search, *light, launches.fill, launches.eighth):
                 launch.load(self.device.queue, **{name: none for name, none in NOTHING.items() if name in launch.arguments})
 
     def begin(
@@ -247,6 +254,9 @@ class Prepare:
             )  # fmt: skip
         for launch, (newer, older) in zip(launches.colors[1:], pairwise(s.steps), strict=False):
             launch.set(is_missing=newer == older)
+        if launches.light is not None:
+            read = ("gbuffer", "stencil", "normal", "normal_stride", "motions")
+            launches.light.set(**{name: surface[name] for name in read}, color=s.colors[0], is_warped=s.steps[0] > 0)
         if self._is_detailed:
             for launch in (launches.colors[0], launches.fill):
                 launch.set(
@@ -276,6 +286,9 @@ class Prepare:
         if len(self._tops) > 1:
             self._warp(top, checks=False, marks_wanted=False)  # an earlier strip's values have been overwritten
         if self._sources.steps[0]:
+            if self._launches.light is not None:
+                self._launches.light.set(top=top)
+                self._launches.light.enqueue(self.device.queue)
             self._launches.fill.set(top=top)
             self._launches.fill.enqueue(self.device.queue)
         self._launches.eighth.set(top=top)

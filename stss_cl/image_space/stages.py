@@ -166,11 +166,12 @@ def _reshade(stages: ImageStages, inputs: Inputs) -> Outputs:
     finite = ("color", "warped", "normal_previous", "normal", "base_color")
     planes = _planes(stages, inputs, size, {"color": 3, "warped": 3, "motion": 2, **SURFACES, "base_color": 3}, finite)
     of, valid = program(stages.device, "reshade.cl"), _valid(stages, inputs, size)
-    samples, filled = stages.buffer(size, 4), stages.buffer(size, 3)
+    samples, lights, filled = stages.buffer(size, 4), stages.buffer(size, 4), stages.buffer(size, 3)
     search = {name: planes[name] for name in ("color", "motion", *SURFACES)}
     stages.launch(of, "find_samples", size, **search, valid=valid, samples=samples)
     material = {name: planes[name] for name in ("warped", "stencil", "normal", "base_color")}
-    stages.launch(of, "reshade", size, **material, valid=valid, samples=samples, filled=filled)
+    stages.launch(of, "find_lights", size, **material, valid=valid, samples=samples, lights=lights)
+    stages.launch(of, "reshade", size, **material, valid=valid, samples=samples, lights=lights, filled=filled)
     return {"reshade": stages.download(filled, (*size, 3))}
 
 

@@ -26,8 +26,9 @@ STEP = 32
 
 BASE, IMAGE = 16, 48
 """Bytes for each pixel: of the decoder's base; of the image."""
-MOTIONS, HOLES = 3 * 8, 16 + 2
-"""The same for ``stss_cl.image_space.prepare``: of motions; of samples for holes (a splat takes less), the mask and dirty tiles."""
+MOTIONS, HOLES = 3 * 8, 2 * 16 + 2
+"""The same for ``stss_cl.image_space.prepare``: of motions; of samples and lights for holes (a splat takes less), the mask and dirty
+tiles."""
 WEIGHTS = 8 << 20
 """Bytes of the weights, transformed for Winograd; rounded up."""
 

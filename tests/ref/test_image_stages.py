@@ -344,15 +344,13 @@ class TestReshade:
         assert self.filled(inputs)[10] == 7.5
 
     def test_a_moving_object_looks_around_and_its_samples_are_sources(self):
-        """Pixels 8 and 10 were 5 and 8, and show one object with 12: each takes the light of the others, not what these take."""
+        """Pixels 8 and 10 were 5 and 8, and show one object with 12: each finds the light of the others, and both take the mean."""
         inputs = reshade_inputs(stencil_previous=np.full((1, 20), 3.0))
         inputs["stencil"][0, [8, 10, 12]] = 3
         for pixel, before in ((8, 5), (10, 8)):
             inputs["valid"][0, pixel], inputs["motion"][0, pixel, 0] = False, before - pixel
             inputs["normal_previous"][0, before + 1] = 0
-        filled = self.filled(inputs)
-        assert filled[8] == np.mean([8, 112])
-        assert filled[10] == np.mean([5, 112])
+        assert self.filled(inputs)[[8, 10]].tolist() == 2 * [np.mean([8, 112, 5, 112])]
 
     def test_a_hole_beyond_the_frame_takes_the_samples_that_are_there(self):
         inputs = reshade_inputs(position=np.zeros((1, 20, 3)), position_previous=np.zeros((1, 20, 3)))
@@ -360,8 +358,8 @@ class TestReshade:
         inputs["color"][0, 0] = -1  # counts as 0
         filled = self.filled(inputs)
         assert filled[0] == 0
-        assert filled[1] == np.mean([103, 105, 109, 117])
-        assert filled[2] == np.mean([0, 104, 106, 110, 118])
+        lights = np.mean([103, 105, 109, 117]), np.mean([0, 104, 106, 110, 118])
+        assert filled[1:3] == pytest.approx(np.mean(lights), rel=1e-15)
 
     @pytest.mark.parametrize(
         ("pixel", "motion", "there", "rows", "columns"),
@@ -541,6 +539,38 @@ class TestReshade:
         inputs["normal"][0, [8, 10, 12], 2] = 0.25
         weights = (1 + 180 / 64) ** -4, (1 + 144 / 64) ** -4
         assert self.filled(inputs)[10] == pytest.approx(np.average([3 / 4, 3 / 2], weights=weights), rel=1e-15)
+
+    @pytest.mark.parametrize(("second", "shares"), [(11, True), (12, True), (13, False)])
+    def test_holes_within_two_pixels_share_their_lights(self, second, shares):
+        """The holes 10 and ``second`` find lights of 5 and 7, from sources 2 pixels to the left and to the right."""
+        inputs = reshade_inputs(warped=np.zeros((1, 20, 3)), stencil=np.ones((1, 20)))
+        holes, sources = [10, second], [8, second + 2]
+        inputs["valid"][0, holes], inputs["motion"][0, holes] = False, (np.inf, 0)
+        inputs["stencil"][0, [*holes, *sources]] = 0
+        inputs["warped"][0, sources] = [[5], [7]]
+        reached = second == 12  # each is 4 pixels from the other's source, on a ring
+        lights = [6, 6] if reached else [5, 7]
+        assert self.filled(inputs)[holes].tolist() == ([np.mean(lights)] * 2 if shares else lights)
+        inputs["normal"][0, [second, second + 2]] = (0, 0.5, 1)
+        unlike = (1 + 2 * 0.25) ** -4
+        if shares and not reached:
+            assert self.filled(inputs)[10] == pytest.approx((5 + 7 * unlike) / (1 + unlike), rel=1e-15)
+        for plane, other in (("stencil", 4), ("normal", (0, 0.25, 0))):  # another object; a mixed pixel
+            apart = {**inputs, plane: inputs[plane].copy(), "warped": inputs["warped"].copy()}
+            apart[plane][0, [second, second + 2]] = other
+            if not reached:
+                assert self.filled(apart)[holes].tolist() == [5, 7]
+
+    def test_lights_are_shared_not_colours(self):
+        """Two holes of base colours 3/64 and 15/64, so 1/4 and 1/2 bright, in lights of 4 and 8."""
+        inputs = reshade_inputs(warped=np.zeros((1, 20, 3)), stencil=np.ones((1, 20)))
+        inputs["valid"][0, [10, 11]], inputs["motion"][0, [10, 11]] = False, (np.inf, 0)
+        inputs["stencil"][0, [8, 10, 11, 13]] = 0
+        inputs["base_color"][0, [8, 10]], inputs["base_color"][0, [11, 13]] = 3 / 64, 15 / 64
+        inputs["warped"][0, [8, 13]] = [[1], [4]]
+        unlike = (1 + 36 / 64) ** -4
+        assert self.filled(inputs)[10] == pytest.approx((4 + 8 * unlike) / (1 + unlike) / 4, rel=1e-15)
+        assert self.filled(inputs)[11] == pytest.approx((8 + 4 * unlike) / (1 + unlike) / 2, rel=1e-15)
 
     def test_channels_have_lights_of_their_own(self):
         inputs = self.lit(63 / 64)

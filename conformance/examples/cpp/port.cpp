@@ -323,6 +323,7 @@ static std::pair<Image, Image> occlusion_warp(const Image &color, const Image &w
 
 constexpr float OWN_FOOTPRINTS = 2.0f, OWN_COSINE = 0.95f, OWN_STATIC_COSINE = 0.5f;
 constexpr float NORMAL = 2.0f, DISTANCE = 0.25f, FLOOR = 0.015625f, UNMIXED = 0.25f;
+constexpr int SHARE = 2;  // pixels from a hole to the sides of the square of holes whose mean light it takes
 constexpr int REACH = 2, STEPS[] = {1, 2, 4, 8, 16, 32};  // places from a hole to the sides of a ring; pixels from place to place
 
 static bool is_none(const float *normal) { return normal[0] == 0.0f && normal[1] == 0.0f && normal[2] == 0.0f; }
@@ -350,9 +351,13 @@ static float likeness(const float *base_color, const float *own_base_color, cons
     return 1.0f / (square * square);
 }
 
+static bool is_mixed(const float *normal) {
+    return normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2] < UNMIXED;
+}
+
 // The display-referred colour of a base colour in light 1, one channel; 1 for holes whose own base colour is a mean with a background's.
-static float brightness(float base_color, bool is_mixed) {
-    return is_mixed ? 1.0f : std::sqrt(std::min(std::max(base_color, 0.0f), 1.0f) + FLOOR);
+static float brightness(float base_color, bool mixed) {
+    return mixed ? 1.0f : std::sqrt(std::min(std::max(base_color, 0.0f), 1.0f) + FLOOR);
 }
 
 // `base_color` is that of the frame itself.
@@ -377,12 +382,14 @@ static Image reshade(const Image &color, const Image &warped, const Image &motio
         for (int c = 0; c < 3; ++c) filled.at(y, x)[c] = sum[c] / count;
         *source.at(y, x) = 1;
     });
-    // A moving object's samples are known by their normals alone: its holes look around, too. Their colours are no sources.
-    const Image sources = filled;
+    // A moving object's samples are known by their normals alone: its holes look around, too.
+    Image light(color.height, color.width, 3);
+    Mask has_light = valid;
+    std::fill(has_light.data.begin(), has_light.data.end(), uint8_t(0));
     each_pixel(filled, [&](int y, int x) {
         if (*valid.at(y, x) || (*source.at(y, x) && *current.stencil.at(y, x) == 0.0f)) return;
         const float *normal = current.normal.at(y, x);
-        const bool is_mixed = normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2] < UNMIXED;
+        const bool mixed = is_mixed(normal);
         float sum[3] = {}, total[3] = {};
         for (const int step : STEPS)
             for (int j = -REACH; j <= REACH; ++j)
@@ -392,13 +399,30 @@ static Image reshade(const Image &color, const Image &warped, const Image &motio
                     const float weight = likeness(base_color.at(v, u), base_color.at(y, x), current.normal.at(v, u),
                                                   normal, (u - x) * (u - x) + (v - y) * (v - y));
                     for (int c = 0; c < 3; ++c) {
-                        const float a = brightness(base_color.at(v, u)[c], is_mixed);
-                        sum[c] += weight * a * sources.at(v, u)[c];
+                        const float a = brightness(base_color.at(v, u)[c], mixed);
+                        sum[c] += weight * a * filled.at(v, u)[c];
                         total[c] += weight * a * a;
                     }
                 }
-        if (std::min({total[0], total[1], total[2]}) > 0.0f)
-            for (int c = 0; c < 3; ++c) filled.at(y, x)[c] = brightness(base_color.at(y, x)[c], is_mixed) * sum[c] / total[c];
+        if (!(std::min({total[0], total[1], total[2]}) > 0.0f)) return;
+        for (int c = 0; c < 3; ++c) light.at(y, x)[c] = sum[c] / total[c];
+        *has_light.at(y, x) = 1;
+    });
+    // Each hole looks at other places: the mean of neighbours' lights has no streaks.
+    each_pixel(filled, [&](int y, int x) {
+        if (!*has_light.at(y, x)) return;
+        const float *normal = current.normal.at(y, x);
+        float sum[3] = {}, total = 0.0f;
+        for (int v = y - SHARE; v <= y + SHARE; ++v)
+            for (int u = x - SHARE; u <= x + SHARE; ++u) {
+                if (!source.holds(v, u) || !*has_light.at(v, u) || *current.stencil.at(v, u) != *current.stencil.at(y, x)) continue;
+                if (is_mixed(current.normal.at(v, u)) != is_mixed(normal)) continue;
+                const float weight = likeness(base_color.at(v, u), base_color.at(y, x), current.normal.at(v, u), normal, 0);
+                for (int c = 0; c < 3; ++c) sum[c] += weight * light.at(v, u)[c];
+                total += weight;
+            }
+        for (int c = 0; c < 3; ++c)
+            filled.at(y, x)[c] = brightness(base_color.at(y, x)[c], is_mixed(normal)) * sum[c] / total;
     });
     return filled;
 }
