@@ -35,9 +35,10 @@
 //  -D RESHADE       stage reshade fills the holes
 //
 // Order: chain_steps, prepare_newest, prepare_older for each older frame where the history is read, splat_nearest and
-// splat_first (with -D RESHADE find_samples, find_lights), fill_holes; then downsample_8.cl. A new plane: README.md, Change a
-// kernel.
-// Launch (W, H); prepare_* and fill_holes (C, R); with EIGHT_PIXELS an eighth of the columns.
+// splat_first (with -D RESHADE find_samples and, for each strip, find_lights), fill_holes; then downsample_8.cl. A new
+// plane: README.md, Change a kernel.
+// Launch (W, H); prepare_* and fill_holes (C, R); find_lights (W, R + STRIP_MARGIN); with EIGHT_PIXELS an eighth of the
+// columns.
 #ifdef EIGHT_PIXELS
 #define AT_ONCE 8
 #define CALLED static __attribute__((noinline))

@@ -14,7 +14,7 @@
 //  position           in      (H, W, 3)  cm; may be non-finite
 //  base_color         in      (H, W, 3)
 //  samples            in/out  (H, W, 4)  for holes: the mean of their own samples and its number; others are not read
-//  lights             in/out  (H, W, 4)  for holes: the light around, and 1 if there is one, else 0; others are not read
+//  lights             in/out  (H, W, 4)  for holes: the light around and 1, or 0 without one; others are not read
 //  filled             out     (H, W, 3)  as color, at least 0
 //
 // Build: no options.  Launch (W, H) rounded up.
