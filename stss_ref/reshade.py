@@ -19,7 +19,7 @@ REACH = 2
 """Places from a hole to the sides of the square rings at which it looks for like materials."""
 STEPS = 1, 2, 4, 8, 16, 32
 """Pixels from place to place of each ring: a hole may be as wide as the motion is long, and colours beside it are mixed."""
-SHARE = 2
+LIGHT_REACH = 2
 """Pixels from a hole to the sides of the square of holes whose lights it takes the mean of: each looks at other places."""
 NORMAL = 2.0
 """Factor of the squared difference of normals in a weight; that of the difference of base colours is 1."""
@@ -53,7 +53,7 @@ def reshade(
     holes with samples of their own, where ``c`` is their mean. ``a`` is the `brightness` of the base colour ``b``, and
     1 for all ``q`` of a hole that `is_mixed`; ``w(q) = (1 + |b(q) - b(p)|_1 + 2 |n(q) - n(p)|^2)^-4`` with the normal ``n``. A
     background, whose normal is 0, takes from background alone, the nearer the more: ``w(q) = (1 + |b(q) - b(p)|_1 + |q - p|^2 /
-    4)^-4``. Then it takes ``a(p)`` times the mean of the lights of the holes within ``SHARE`` rows and columns that found one, itself
+    4)^-4``. Then it takes ``a(p)`` times the mean of the lights of the holes within ``LIGHT_REACH`` rows and columns that found one, itself
     among them, with the former weights (`light_sums`). A hole that finds none takes the mean of its own samples, or stays as it is
     warped. Colours below 0 count as 0.
 
@@ -222,9 +222,9 @@ def ring_rows(size: tuple[int, int], y: Index, x: Index) -> Iterator[tuple[Mask,
 
 
 def square_rows(size: tuple[int, int], y: Index, x: Index) -> Iterator[tuple[Mask, tuple[Index, Index]]]:
-    """Row by row the pixels within ``SHARE`` rows and columns of N pixels, themselves among them; as `_places`."""
-    for j in range(-SHARE, SHARE + 1):
-        yield _places(size, y + j, x + np.arange(-SHARE, SHARE + 1)[:, None])
+    """Row by row the pixels within ``LIGHT_REACH`` rows and columns of N pixels, themselves among them; as `_places`."""
+    for j in range(-LIGHT_REACH, LIGHT_REACH + 1):
+        yield _places(size, y + j, x + np.arange(-LIGHT_REACH, LIGHT_REACH + 1)[:, None])
 
 
 def _places(size: tuple[int, int], row: Index, column: Index) -> tuple[Mask, tuple[Index, Index]]:

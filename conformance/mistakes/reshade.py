@@ -332,9 +332,9 @@ RESHADE = (
     _reshade("clamped_late", "the sum of samples, not each of them, is at least 0", _clamped_late),
     _reshade("leaning_samples", "static samples of any normal", put("reshade.STATIC_COSINE", -2.0)),
     _reshade("cosine_for_all", "the cosine of moving objects for static ones, too", put("reshade.STATIC_COSINE", COSINE)),
-    _reshade("own_light", "holes take the light that they find themselves", put("reshade.SHARE", 0)),
-    _reshade("share_1", "the mean of the lights of 3 x 3 holes", put("reshade.SHARE", 1)),
-    _reshade("share_3", "the mean of the lights of 7 x 7 holes", put("reshade.SHARE", 3)),
+    _reshade("own_light", "holes take the light that they find themselves", put("reshade.LIGHT_REACH", 0)),
+    _reshade("share_1", "the mean of the lights of 3 x 3 holes", put("reshade.LIGHT_REACH", 1)),
+    _reshade("share_3", "the mean of the lights of 7 x 7 holes", put("reshade.LIGHT_REACH", 3)),
     _reshade("share_clamped", "the lights of the nearest hole for one outside", returns("reshade.square_rows", _all_there)),
     _shares("share_all_objects", "the lights of all objects", stencil=np.zeros_like),
     _shares_by(

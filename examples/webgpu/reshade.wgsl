@@ -11,7 +11,7 @@
 @group(0) @binding(8) var<storage, read_write> filled: array<f32>;  // H W 3: as warped, at least 0, to begin with
 @group(0) @binding(9) var<storage, read_write> lights: array<vec4<f32>>;  // of holes: the light around, and 1 if there is one
 
-const SHARE = 2;  // pixels from a hole to the sides of the square of holes whose mean light it takes
+const LIGHT_REACH = 2;  // pixels from a hole to the sides of the square of holes whose mean light it takes
 const REACH = 2;  // places from a hole to the sides of a ring
 const LARGEST_STEP = 32;  // pixels from place to place of the last ring; those before have 1, 2, 4, 8 and 16
 
@@ -109,8 +109,8 @@ fn fill(@builtin(global_invocation_id) id: vec3<u32>) {
     if (lights[index].w > 0.0) {
         var sum = vec3<f32>(0.0);
         var total = 0.0;
-        for (var y = max(p.y - SHARE, 0); y <= min(p.y + SHARE, frame.height - 1); y++) {
-            for (var x = max(p.x - SHARE, 0); x <= min(p.x + SHARE, frame.width - 1); x++) {
+        for (var y = max(p.y - LIGHT_REACH, 0); y <= min(p.y + LIGHT_REACH, frame.height - 1); y++) {
+            for (var x = max(p.x - LIGHT_REACH, 0); x <= min(p.x + LIGHT_REACH, frame.width - 1); x++) {
                 let other = y * frame.width + x;
                 if (lights[other].w == 0.0 || now[other].stencil != now[index].stencil || mixed(other) != mixed(index)) { continue; }
                 let weight = likeness(other, index, 0);

@@ -80,7 +80,7 @@ PLANTS = {
     "own samples' distance in footprints": [put("reshade.FOOTPRINTS", x) for x in (1.99, 2.01, 0.0)],
     "own samples' cosine": [put("reshade.COSINE", x) for x in (0.947, 0.953, float(np.float16(0.95)), 0.0)],
     "places to the sides of a ring": [put("reshade.REACH", x) for x in (1, 3)],
-    "pixels to the sides of the square of lights": [put("reshade.SHARE", x) for x in (0, 1, 3)],
+    "pixels to the sides of the square of lights": [put("reshade.LIGHT_REACH", x) for x in (0, 1, 3)],
     "steps of the rings": [
         put("reshade.STEPS", x) for x in ((1, 2, 4, 8, 16), (2, 4, 8, 16, 32), (1, 2, 4, 8, 16, 31), (1, 2, 3, 4, 8, 16, 32))
     ],

@@ -16,7 +16,19 @@ from stss_ref.depth import normalise_depth
 from stss_ref.holes import cosine, holes, squared_footprint
 from stss_ref.motion_chain import motion_chain
 from stss_ref.occlusion_warp import occlusion_warp, splat
-from stss_ref.reshade import COSINE, REACH, STEPS, brightness, four_samples, is_mixed, like_sums, likeness, reshade, shows_surface
+from stss_ref.reshade import (
+    COSINE,
+    REACH,
+    STEPS,
+    brightness,
+    four_samples,
+    is_mixed,
+    like_sums,
+    likeness,
+    reshade,
+    shows_surface,
+    square_rows,
+)
 from stss_ref.rrm import draw_rectangle, rrm
 from stss_ref.sample import follow, leads_inside, taps
 from stss_ref.warp import warp
@@ -560,6 +572,15 @@ class TestReshade:
             apart[plane][0, [second, second + 2]] = other
             if not reached:
                 assert self.filled(apart)[holes].tolist() == [5, 7]
+
+    def test_lights_are_shared_row_by_row(self):
+        """Of 5 x 5 holes around one in the corner of a frame of three rows and four columns, six lie in the frame."""
+        rows = [
+            (i[:, 0].astype(int).tolist(), r[0], c[:, 0].tolist())
+            for i, (r, c) in square_rows((3, 4), np.array([0]), np.array([3]))
+        ]
+        inside, columns = [1, 1, 1, 0, 0], [1, 2, 3, 3, 3]
+        assert rows == [([0] * 5, 0, columns)] * 2 + [(inside, row, columns) for row in range(3)]
 
     def test_lights_are_shared_not_colours(self):
         """Two holes of base colours 3/64 and 15/64, so 1/4 and 1/2 bright, in lights of 4 and 8."""

@@ -323,7 +323,7 @@ static std::pair<Image, Image> occlusion_warp(const Image &color, const Image &w
 
 constexpr float OWN_FOOTPRINTS = 2.0f, OWN_COSINE = 0.95f, OWN_STATIC_COSINE = 0.5f;
 constexpr float NORMAL = 2.0f, DISTANCE = 0.25f, FLOOR = 0.015625f, UNMIXED = 0.25f;
-constexpr int SHARE = 2;  // pixels from a hole to the sides of the square of holes whose mean light it takes
+constexpr int LIGHT_REACH = 2;  // pixels from a hole to the sides of the square of holes whose mean light it takes
 constexpr int REACH = 2, STEPS[] = {1, 2, 4, 8, 16, 32};  // places from a hole to the sides of a ring; pixels from place to place
 
 static bool is_none(const float *normal) { return normal[0] == 0.0f && normal[1] == 0.0f && normal[2] == 0.0f; }
@@ -413,8 +413,8 @@ static Image reshade(const Image &color, const Image &warped, const Image &motio
         if (!*has_light.at(y, x)) return;
         const float *normal = current.normal.at(y, x);
         float sum[3] = {}, total = 0.0f;
-        for (int v = y - SHARE; v <= y + SHARE; ++v)
-            for (int u = x - SHARE; u <= x + SHARE; ++u) {
+        for (int v = y - LIGHT_REACH; v <= y + LIGHT_REACH; ++v)
+            for (int u = x - LIGHT_REACH; u <= x + LIGHT_REACH; ++u) {
                 if (!source.holds(v, u) || !*has_light.at(v, u) || *current.stencil.at(v, u) != *current.stencil.at(y, x)) continue;
                 if (is_mixed(current.normal.at(v, u)) != is_mixed(normal)) continue;
                 const float weight = likeness(base_color.at(v, u), base_color.at(y, x), current.normal.at(v, u), normal, 0);
