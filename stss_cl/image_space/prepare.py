@@ -27,7 +27,7 @@ FINITE = ("colors", "gbuffer", "nov", "stencils", "normals")
 """The arrays that must be finite: a ReLU could turn a NaN into 0 unnoticed."""
 
 STRIP_MARGIN = 8
-"""Rows of lights besides a strip's, as in kernels/reshade.clh."""
+"""Rows whose lights a strip needs besides its own, as in kernels/reshade.clh; a multiple of 8."""
 MOTIONS = tuple(f"motion{i}" for i in range(MOST_STEPS))
 NOTHING = {"height": 0, "rows": 0, "down": 0}
 """With these arguments a kernel has no pixel, and does no work."""
@@ -37,15 +37,14 @@ NOTHING = {"height": 0, "rows": 0, "down": 0}
 class _Launches:
     """The launches of one frame.
 
-    ``colors``: of the colour frames, newest first; ``search``: for the colours of holes; ``light``: of a strip's holes, if they are
-    reshaded; ``fill``: of the newest frame's holes.
+    ``colors``: of the colour frames, newest first; ``search``: for the colours of holes; ``fill``: of the holes of
+    the newest frame's strip.
     """
 
     chain: Launch
     colors: tuple[Launch, ...]
     search: tuple[Launch, ...]
-    light: Launch | None
-    fill: Launch
+    fill: tuple[Launch, ...]
     eighth: Launch
 
 
@@ -174,16 +173,17 @@ class Prepare:
                 *(launch("prepare_older", *part, outputs, marked, task, {"image": image}) for image in (1, 0) if self._stores),
             ),
             search=search,
-            light=launch("find_lights", whole[0], self.rows + STRIP_MARGIN, found, task) if self._reshades else None,
-            fill=launch("fill_holes", *part, newest, marked, {"lights": self._lights}, task),
+            fill=(
+                *((launch("find_lights", whole[0], self.rows + STRIP_MARGIN, found, task),) if self._reshades else ()),
+                launch("fill_holes", *part, newest, marked, {"lights": self._lights}, task),
+            ),
             eighth=launch("downsample_8", inputs.eighth.width, inputs.eighth.height, small, size, of=eighth),
         )
 
     def load(self) -> None:
         """Let the runtime load or compile all kernels."""
         for launches in (self._whole,) if self.inputs.changes is None else (self._whole, self._marking):
-            light = () if launches.light is None else (launches.light,)
-            for launch in (launches.chain, *launches.colors, *launches.search, *light, launches.fill, launches.eighth):
+            for launch in (launches.chain, *launches.colors, *launches.search, *launches.fill, launches.eighth):
                 launch.load(self.device.queue, **{name: none for name, none in NOTHING.items() if name in launch.arguments})
 
     def begin(
@@ -246,7 +246,7 @@ class Prepare:
             "gbuffer": s.gbuffer, "nov": s.nov, "stencil": s.stencils[0], "normal": s.normals[0], "position": s.positions[0],
             "normal_stride": s.normal_stride, "motions": motions,
         }  # fmt: skip
-        of_newest = (launches.fill, *(launches.search if self._reshades else ()))
+        of_newest = (launches.fill[-1], *(launches.search if self._reshades else ()))
         for launch, i in (*zip(launches.colors, range(3), strict=False), *((launch, 0) for launch in of_newest)):
             launch.set(
                 **surface, color=s.colors[i], is_warped=s.steps[i] > 0, stencil_previous=s.stencils[i + 1],
@@ -254,11 +254,11 @@ class Prepare:
             )  # fmt: skip
         for launch, (newer, older) in zip(launches.colors[1:], pairwise(s.steps), strict=False):
             launch.set(is_missing=newer == older)
-        if launches.light is not None:
+        if self._reshades:
             read = ("gbuffer", "stencil", "normal", "normal_stride", "motions")
-            launches.light.set(**{name: surface[name] for name in read}, color=s.colors[0], is_warped=s.steps[0] > 0)
+            launches.fill[0].set(**{name: surface[name] for name in read}, color=s.colors[0], is_warped=s.steps[0] > 0)
         if self._is_detailed:
-            for launch in (launches.colors[0], launches.fill):
+            for launch in (launches.colors[0], launches.fill[-1]):
                 launch.set(
                     middle_color=s.colors[1], oldest_color=s.colors[2], stencil_middle=s.stencils[2], stencil_oldest=s.stencils[3],
                     reads_middle=s.steps[1] > s.steps[0], reads_oldest=s.steps[2] > s.steps[1],
@@ -286,11 +286,9 @@ class Prepare:
         if len(self._tops) > 1:
             self._warp(top, checks=False, marks_wanted=False)  # an earlier strip's values have been overwritten
         if self._sources.steps[0]:
-            if self._launches.light is not None:
-                self._launches.light.set(top=top)
-                self._launches.light.enqueue(self.device.queue)
-            self._launches.fill.set(top=top)
-            self._launches.fill.enqueue(self.device.queue)
+            for launch in self._launches.fill:
+                launch.set(top=top)
+                launch.enqueue(self.device.queue)
         self._launches.eighth.set(top=top)
         self._last = self._launches.eighth.enqueue(self.device.queue)
 
