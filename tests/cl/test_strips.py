@@ -119,6 +119,31 @@ def test_the_limit_counts_the_buffers_before_the_network(device, monkeypatch, ho
     assert sum(sizes) <= bytes_to_prepare(*size)
 
 
+def test_holes_share_the_lights_of_their_own_frame_beyond_their_strip(device):
+    """The filled colours in every row of a strip, its rims too, are those of the whole frame, after another frame with other holes."""
+    size, tops = (128, 96), (0, 32, 64, 96)
+    other, frame = (vars(frame_inputs(size, seed, **appearing(size, seed))) for seed in (1, 2))
+
+    def fill(prepare, top):
+        prepare.strip(top)
+        colors = np.empty((prepare.rows, prepare.columns, 4), np.float32)
+        cl.enqueue_copy(device.queue, colors, prepare.inputs.base)
+        return colors
+
+    def prepare_rows(rows, tops):
+        inputs = inputs_for(device, rows, size[1], np.dtype(np.float32))
+        return Prepare(device, *size, PrepareOptions(hole_fill="reshade"), inputs=inputs, tops=tops)
+
+    whole, in_strips = prepare_rows(size[0], (0,)), prepare_rows(32, tops)
+    whole.begin(**frame)
+    want = fill(whole, 0)
+    for each in (other, frame):
+        in_strips.begin(**each)
+        got = {top: fill(in_strips, top) for top in reversed(tops)}
+    for top in tops:
+        np.testing.assert_array_equal(got[top], want[top : top + 32])
+
+
 @ALL_LAYERS
 @pytest.mark.parametrize("precision", OFTEN)
 def test_strips_have_the_bits_of_the_whole(device, precision):
